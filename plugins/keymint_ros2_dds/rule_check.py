@@ -24,8 +24,8 @@ from keymint.ir import SubjectRules
 from keymint_ros2_dds.build import build
 from keymint_ros2_dds.lowering.lowered_rules import lower
 from keymint_ros2_dds.lowering.name_mapping import DDS_TOPICS, DISTROS
-from keymint_ros2_dds.proving.counterexamples import deciding_rule
 from keymint_ros2_dds.proving.document_lists import of_policy
+from keymint_ros2_dds.proving.questions import deciding_rule
 from keymint_ros2_dds.settings import package_of
 
 _RELAYS = ("relay", "ros_relay")

@@ -20,6 +20,8 @@ from keymint_ros2_dds.vendors.participants import RefusedError, System
 from comarmor.errors import Origin
 from keymint.api import BuildOptions, CertificateSpec, DomainRange, Grant, KeySpec, Package, PolicySource, Validity
 
+from .handmade import access_control
+
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
@@ -127,7 +129,7 @@ def compiled(policy: Path, subject: str) -> tuple[str, str]:
 def access(authorities: Authorities, subject: str, documents: tuple[str, str]) -> Iterator[CycloneAccessControl]:
     """Sign the documents and open them with the access-control plugin of Cyclone DDS."""
     permissions, governance = documents
-    with CycloneAccessControl(
+    with access_control(
         certificate=authorities.certificate_of(subject),
         permissions_ca=authorities.permissions.pem,
         governance=authorities.permissions.sign(governance),

@@ -3,8 +3,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 from xml.sax.saxutils import escape
 
@@ -13,10 +17,10 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import pkcs7
 from cryptography.x509.oid import ExtendedKeyUsageOID
+from keymint_ros2_dds.vendors.cyclone_access_control import CycloneAccessControl
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,3 +212,19 @@ def _key_usage(**granted: bool) -> x509.KeyUsage:
         "decipher_only",
     )
     return x509.KeyUsage(**{name: granted.get(name, False) for name in names})
+
+
+@contextmanager
+def access_control(
+    certificate: bytes, permissions_ca: bytes, governance: bytes, permissions: bytes, domain: int = 0
+) -> Iterator[CycloneAccessControl]:
+    """Open signed documents with the access-control plugin of Cyclone DDS."""
+    contents = {
+        "cert.pem": certificate, "permissions_ca.cert.pem": permissions_ca, "governance.p7s": governance,
+        "permissions.p7s": permissions,
+    }  # fmt: skip
+    with TemporaryDirectory() as folder:
+        for name, content in contents.items():
+            Path(folder, name).write_bytes(content)
+        with CycloneAccessControl(Path(folder), domain) as opened:
+            yield opened

@@ -26,7 +26,6 @@ from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance
 from keymint_ros2_dds.proving.questions import ProofQuestion
 from keymint_ros2_dds.reading import signed_governance, signed_permissions
 from keymint_ros2_dds.transports.enclave_files import subject_name
-from keymint_ros2_dds.vendors.cyclone_access_control import CycloneAccessControl
 from keymint_ros2_dds.vendors.participants import RefusedError, System, Vendor
 
 from comarmor.errors import Origin
@@ -35,7 +34,7 @@ from keymint.api import Claim, ComparisonTask, DomainRange, Proof
 from keymint.host.vendor_process import ProcessFailedError
 from keymint.ir import Rule, SubjectRules
 
-from .handmade import Authorities
+from .handmade import Authorities, access_control
 from .model_agreement import RDNS
 
 MODELS = ("omg", "cyclonedds-0.10", "fastdds-2.9")
@@ -347,7 +346,7 @@ class Bench:
         authority = self._authorities.permissions
         signed, governance = authority.sign(permissions.decode()), authority.sign(governance_of(case).decode())
         for domain in DOMAINS:
-            with CycloneAccessControl(
+            with access_control(
                 certificate=self._certificate,
                 permissions_ca=authority.pem,
                 governance=governance,

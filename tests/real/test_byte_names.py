@@ -85,7 +85,7 @@ def test_the_claims_are_right_about_cyclone_dds(
 ) -> None:
     names = list(islice(NAMES, 0, None, 7))
     for number, case in enumerate((*EXAMPLES, *islice(usual(3), 60))):
-        with CycloneAccessControl.of_enclave(enclave(authorities, tmp_path / str(number), case)) as opened:
+        with CycloneAccessControl(enclave(authorities, tmp_path / str(number), case)) as opened:
             assert opened.valid, opened.reason
             hold(case, by_cyclone, "cyclonedds-0.10", lambda text, o=opened: o.allows("publish", text), names)
 

@@ -25,14 +25,14 @@ RELAY_X = criteria("relay", ["rt/x"])
 
 
 def asked(authorities: Authorities, folder: Path, rules: str, *questions: tuple[str, str, Sequence[str]]) -> list[bool]:
-    with CycloneAccessControl.of_enclave(authorities.enclave(folder, rules)) as access:
+    with CycloneAccessControl(authorities.enclave(folder, rules)) as access:
         assert access.valid, access.reason
         return [access.allows(*question) for question in questions]
 
 
 def test_decides_on_direction_topic_and_partitions(authorities: Authorities, tmp_path: Path) -> None:
     rules = rule("allow", criteria("publish", ["rt/x", "rt/p*"]) + criteria("subscribe", ["rt/s"], ["a"]))
-    with CycloneAccessControl.of_enclave(authorities.enclave(tmp_path, rules)) as access:
+    with CycloneAccessControl(authorities.enclave(tmp_path, rules)) as access:
         assert access.joins()
         assert access.allows("publish", "rt/x")
         assert access.allows("publish", "rt/p/q")
@@ -43,27 +43,16 @@ def test_decides_on_direction_topic_and_partitions(authorities: Authorities, tmp
         assert access.reason == "rt/s denied by default rule"
 
 
-def test_accepts_contents_as_well_as_files(authorities: Authorities, tmp_path: Path) -> None:
-    folder = authorities.enclave(tmp_path, rule("allow", PUBLISH_X))
-    with CycloneAccessControl(
-        certificate=(folder / "cert.pem").read_bytes(),
-        permissions_ca=authorities.permissions.pem,
-        governance=f"file:{folder}/governance.p7s",
-        permissions=(folder / "permissions.p7s").read_bytes(),
-    ) as access:
-        assert access.allows("publish", "rt/x")
-
-
 def test_every_enclave_has_its_own_rights_while_others_are_open(authorities: Authorities, tmp_path: Path) -> None:
     one = authorities.enclave(tmp_path / "one", rule("allow", PUBLISH_X))
     two = authorities.enclave(tmp_path / "two", rule("allow", SUBSCRIBE_X))
-    with CycloneAccessControl.of_enclave(one) as first, CycloneAccessControl.of_enclave(two) as second:
+    with CycloneAccessControl(one) as first, CycloneAccessControl(two) as second:
         assert (first.allows("publish", "rt/x"), first.allows("subscribe", "rt/x")) == (True, False)
         assert (second.allows("publish", "rt/x"), second.allows("subscribe", "rt/x")) == (False, True)
 
 
 def test_a_closed_enclave_answers_no(authorities: Authorities, tmp_path: Path) -> None:
-    access = CycloneAccessControl.of_enclave(authorities.enclave(tmp_path, rule("allow", PUBLISH_X)))
+    access = CycloneAccessControl(authorities.enclave(tmp_path, rule("allow", PUBLISH_X)))
     access.close()
     access.close()
     assert not access.allows("publish", "rt/x")
@@ -75,7 +64,7 @@ def test_frees_what_it_allocates(authorities: Authorities, tmp_path: Path) -> No
 
     def run(times: int) -> int:
         for _ in range(times):
-            with CycloneAccessControl.of_enclave(folder) as access:
+            with CycloneAccessControl(folder) as access:
                 for number in range(200):
                     access.allows("publish", f"rt/denied{number}")
         return int(Path("/proc/self/statm").read_text().split()[1])
@@ -89,7 +78,7 @@ def test_documents_of_another_authority_are_refused(authorities: Authorities, tm
     folder = authorities.enclave(tmp_path / "own", rule("allow", PUBLISH_X))
     foreign = Authorities.new().enclave(tmp_path / "foreign", rule("allow", PUBLISH_X))
     (folder / file).write_bytes((foreign / file).read_bytes())
-    with CycloneAccessControl.of_enclave(folder) as access:
+    with CycloneAccessControl(folder) as access:
         assert not access.valid
         assert "PKCS7" in access.reason
         assert not access.allows("publish", "rt/x")
@@ -101,7 +90,7 @@ def test_rules_of_another_domain_do_not_apply(
 ) -> None:
     wide = governance_document(domains="<id_range><min>0</min><max>230</max></id_range>")
     folder = authorities.enclave(tmp_path, rule("allow", PUBLISH_X), governance=wide)
-    with CycloneAccessControl.of_enclave(folder, domain) as access:
+    with CycloneAccessControl(folder, domain) as access:
         assert access.joins() is joins
         assert access.allows("publish", "rt/x") is joins
 
@@ -114,7 +103,7 @@ def test_rules_of_another_domain_do_not_apply(
 def test_any_allow_rule_permits_joining_and_nothing_else(
     authorities: Authorities, tmp_path: Path, rules: str, joins: bool
 ) -> None:
-    with CycloneAccessControl.of_enclave(authorities.enclave(tmp_path, rules)) as access:
+    with CycloneAccessControl(authorities.enclave(tmp_path, rules)) as access:
         assert access.joins() is joins
         assert not access.allows("publish", "rt/x")
         assert not access.allows("subscribe", "rt/x")
@@ -180,7 +169,7 @@ def test_a_second_rdn_binds_the_grant_to_its_identity(
 ) -> None:
     rdns = [(NameOID.ORGANIZATIONAL_UNIT_NAME, "4f3a"), (NameOID.COMMON_NAME, "/robot")]
     folder = authorities.enclave(tmp_path, rule("allow", PUBLISH_X), subject=subject, rdns=rdns)
-    with CycloneAccessControl.of_enclave(folder) as access:
+    with CycloneAccessControl(folder) as access:
         assert access.valid is valid
 
 
@@ -188,7 +177,7 @@ def test_without_a_second_rdn_an_identity_selects_the_grant_of_a_longer_path(
     authorities: Authorities, tmp_path: Path
 ) -> None:
     folder = authorities.enclave(tmp_path, rule("allow", PUBLISH_X), name="/robot", subject="CN=/robot/camera")
-    with CycloneAccessControl.of_enclave(folder) as access:
+    with CycloneAccessControl(folder) as access:
         assert access.allows("publish", "rt/x")
 
 

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
-from keymint_ros2_dds.vendors.cyclone_access_control import CycloneAccessControl
 from keymint_ros2_dds.vendors.participants import RefusedError, System
 
 from keymint import cli
@@ -38,6 +37,7 @@ from tests.keymint.examine.fault_workspaces import Bench
 from tests.signers import HAVE_OPENSSL
 
 from .conftest import on_each_fastdds
+from .handmade import access_control
 
 if TYPE_CHECKING:
     from keymint_ros2_dds.vendors.participants import Vendor
@@ -112,7 +112,7 @@ def cyclone_rights(keystore: Keystore, subjects: tuple[str, ...]) -> Rights:
 def _asked(
     certificate: bytes, permissions_ca: bytes, governance: bytes, permissions: bytes, domain: int
 ) -> frozenset[tuple[int, str, str]]:
-    with CycloneAccessControl(
+    with access_control(
         certificate=certificate, permissions_ca=permissions_ca, governance=governance, permissions=permissions,
         domain=domain,
     ) as access:  # fmt: skip

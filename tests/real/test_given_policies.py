@@ -63,7 +63,7 @@ def test_given_policy(path: Path, provisioned: Callable[[str | Path], Path]) -> 
     asked |= {each for held, name in product(("publish", "subscribe"), names) for each in operations(held, name)}
     allowed = 0
     for subject in subjects:
-        with CycloneAccessControl.of_enclave(enclave(install, subject)) as access:
+        with CycloneAccessControl(enclave(install, subject)) as access:
             assert access.valid, (subject, access.reason)
             for each in asked:
                 said = said_of(policy, subject, each)

@@ -22,7 +22,7 @@ from keymint_ros2_dds import subject_names
 from keymint_ros2_dds.lowering.name_mapping import DISTROS
 from keymint_ros2_dds.reading import dialects
 from keymint_ros2_dds.reading import dialects as fnmatch
-from keymint_ros2_dds.reading.quirks import BLANKS, CRASHES, REFUSES, UNMODELLED, Quirk, VendorReading
+from keymint_ros2_dds.reading.dialects import BLANKS, CRASHES, REFUSES, UNMODELLED, Quirk, VendorReading
 from keymint_ros2_dds.reading.signed_governance import GovernanceDocument
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, DocumentRule, PermissionsDocument
 

@@ -28,8 +28,7 @@ from keymint_ros2_dds import subject_names
 from keymint_ros2_dds.decision.semantics import STANDARD
 from keymint_ros2_dds.domains import in_words, merged_domains
 from keymint_ros2_dds.enclave_layout import CA, CERTIFICATE, PERMISSIONS_CA, PERMISSIONS_P7S
-from keymint_ros2_dds.lowering.name_mapping import TopicAction
-from keymint_ros2_dds.lowering.ros_rules import in_ros
+from keymint_ros2_dds.lowering.name_mapping import TopicAction, in_ros
 from keymint_ros2_dds.proving.document_lists import have_partitions
 from keymint_ros2_dds.proving.enclave_governance import cuts
 from keymint_ros2_dds.proving.grant_periods import grant_periods

@@ -9,6 +9,11 @@ In ROS 2 Ardent the namespace is a DDS partition, and the topic has the base nam
 topic ``b`` in the partition ``rt/a``, and ``/b`` is ``b`` in ``rt``; the service ``/a/s`` is ``sRequest`` in ``rq/a``
 and ``sReply`` in ``rr/a``. In reverse, a topic ``T`` in a partition ``P`` is the name ``P/T`` without its prefix. So a
 topic with a ``/`` in its name, which Ardent itself never creates, has a meaning too.
+
+The other way, patterns of DDS topics become rules on ROS names. A pattern that begins with the prefix of a ROS
+subsystem is that of a ROS topic; two that are the requests and the replies of the same services are a rule on services;
+all parts of an action are a rule on actions. What is incomplete, and what no ROS name fits, stays a rule on DDS topics.
+Nothing is lost: each rule means exactly its patterns.
 """
 
 from __future__ import annotations
@@ -22,9 +27,10 @@ from types import MappingProxyType
 from comarmor.errors import Origin
 from comarmor.patterns import glob
 from comarmor.patterns.glob import Glob
+from comarmor.patterns.possible_names import matches_ros_name
 from comarmor.patterns.relations import covers
 from comarmor.patterns.tokens import STAR, Charset, PatternError, Star, Token
-from comarmor.rules import Effect, parts
+from comarmor.rules import PARTS, Effect, parts
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint.errors import KeymintError
@@ -239,3 +245,78 @@ def check_distro(distro: str) -> None:
     if distro not in DISTROS:
         help_ = did_you_mean(distro, DISTROS, f"use one of {', '.join(DISTROS)}")
         raise KeymintError(f"unknown distro {distro!r}", help=help_, code="distro-unknown")
+
+
+RosPattern = tuple[str, str, Glob]
+"""Kind, permission and pattern of a rule on names."""
+_PERMISSIONS = {
+    "ros_topic": ("ros_publish", "ros_subscribe", "ros_relay"),
+    "ros_service": ("ros_call", "ros_execute"),
+}
+_ACTION_PARTS = {permission: of_action for (kind, permission), of_action in PARTS.items() if kind == "ros_action"}
+
+
+def in_ros(patterns: Iterable[tuple[TopicAction, Glob]], distro: str) -> Mapping[RosPattern, tuple[TopicAction, Glob]]:
+    """Return rules for patterns of DDS topics in the default partition, each with a pattern that it stands for.
+
+    Args:
+        patterns: what may be done, and to which topics; all allowed, or all denied.
+        distro: ROS 2 distribution whose name mapping applies; Ardent's puts names into partitions.
+    """
+    left = dict.fromkeys(patterns)
+    found: dict[RosPattern, tuple[TopicAction, Glob]] = {}
+    if distro != ARDENT:
+        for kind, permissions in _PERMISSIONS.items():
+            for permission in permissions:
+                topics = DDS_TOPICS[permission]
+                found |= {(kind, permission, name): _topic_of(topics[0], name) for name in _complete(topics, left)}
+        for _, permission, name in found:
+            for topic in DDS_TOPICS[permission]:
+                left.pop(_topic_of(topic, name), None)
+        _combine_actions(found)
+    return found | {("topic", str(action), pattern): (action, pattern) for action, pattern in left}
+
+
+def _topic_of(topic: DdsTopic, name: Glob) -> tuple[TopicAction, Glob]:
+    return topic.action, glob.surround(topic.prefix, name, topic.suffix)
+
+
+def _complete(topics: tuple[DdsTopic, ...], patterns: Mapping[tuple[TopicAction, Glob], None]) -> list[Glob]:
+    """Return the patterns of ROS names for which there are all topics of a permission."""
+    names = (_name(pattern, topics[0]) for action, pattern in patterns if action is topics[0].action)
+    return [name for name in names if name is not None and all(_topic_of(topic, name) in patterns for topic in topics)]
+
+
+def _name(pattern: Glob, topic: DdsTopic) -> Glob | None:
+    """Return the ROS names whose topics a pattern matches; None if it may match others, or there are none."""
+    if not glob.prefix(pattern).startswith(f"{topic.prefix}/") or not glob.suffix(pattern).endswith(topic.suffix):
+        return None
+    text = glob.literal(pattern)
+    if text is not None:
+        if len(text) <= len(topic.prefix) + len(topic.suffix) + 1:
+            return None
+        name: Glob = (text[len(topic.prefix) : len(text) - len(topic.suffix)],)
+    else:
+        last = str(pattern[-1])[: -len(topic.suffix)] if topic.suffix else pattern[-1]
+        name = glob.normalise((str(pattern[0])[len(topic.prefix) :], *pattern[1:-1], last))
+    return name if matches_ros_name(name) else None
+
+
+def _combine_actions(found: dict[RosPattern, tuple[TopicAction, Glob]]) -> None:
+    """Replace the topics and services of complete actions."""
+    made: dict[RosPattern, tuple[TopicAction, Glob]] = {}
+    used: set[RosPattern] = set()
+    for permission, of_action in _ACTION_PARTS.items():
+        (kind, part, ending), *_ = of_action
+        for each, source in found.items():
+            if each[:2] != (kind, part) or not glob.suffix(each[2]).endswith(ending):
+                continue
+            *start, last = each[2]
+            name = glob.normalise((*start, str(last)[: -len(ending)]))
+            needed = {(kind, part, glob.surround("", name, suffix)) for kind, part, suffix in of_action}
+            if needed <= found.keys() and matches_ros_name(name):
+                made["ros_action", permission, name] = source
+                used |= needed
+    for each in used:
+        del found[each]
+    found |= made

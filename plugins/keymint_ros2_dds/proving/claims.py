@@ -24,10 +24,9 @@ from keymint_ros2_dds.enclave_layout import PERMISSIONS
 from keymint_ros2_dds.lowering.lowered_rules import Lowered, lower
 from keymint_ros2_dds.proving import document_lists as lists
 from keymint_ros2_dds.proving import enclave_governance, octets
-from keymint_ros2_dds.proving.counterexamples import Counterexamples, Situation
 from keymint_ros2_dds.proving.enclave_governance import ACTIONS, EnclaveGovernance, unread_topic
 from keymint_ros2_dds.proving.grant_periods import grant_periods
-from keymint_ros2_dds.proving.questions import ProofQuestion
+from keymint_ros2_dds.proving.questions import Counterexamples, ProofQuestion, Situation
 from keymint_ros2_dds.reading import signed_permissions
 from keymint_ros2_dds.reading.signed_governance import DocumentDomainRule
 

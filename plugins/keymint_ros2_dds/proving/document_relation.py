@@ -22,10 +22,9 @@ from keymint_ros2_dds.enclave_layout import PERMISSIONS_P7S
 from keymint_ros2_dds.lowering.lowered_rules import lower
 from keymint_ros2_dds.lowering.name_mapping import TopicAction
 from keymint_ros2_dds.proving import document_lists, octets
-from keymint_ros2_dds.proving.counterexamples import Counterexamples, Situation
 from keymint_ros2_dds.proving.document_lists import NOTHING
 from keymint_ros2_dds.proving.grant_periods import grant_periods
-from keymint_ros2_dds.proving.questions import ProofQuestion
+from keymint_ros2_dds.proving.questions import Counterexamples, ProofQuestion, Situation
 from keymint_ros2_dds.reading.signed_permissions import read
 
 _SEMANTICS = OMG.semantics

@@ -1,17 +1,35 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is to be proven about a permissions document."""
+"""What is to be proven about a document, and what the plain evaluators decide about a name on which it is wrong.
+
+The policy is evaluated for one endpoint by its rules, independent of the compiler's translation, to check it. An
+endpoint is a raw topic, and may be part of ROS entities; rules that match any of these apply.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
+from dataclasses import replace
 from datetime import datetime
 
+from comarmor.errors import Reason
+from comarmor.patterns import glob
 from comarmor.patterns.decision_lists import SearchBudget
+from comarmor.patterns.glob import matches
+from comarmor.rules import Effect, is_fully_qualified, parts
 from comarmor.values import dataclass
-from keymint.api import ComparisonTask, DomainRange
-from keymint_ros2_dds.decision.semantics import Semantics
+from keymint.api import ComparisonTask, Counterexample, DomainRange, Endpoint, PolicyDecision, Verdict
+from keymint.api.graph import Edge, Object
+from keymint.ir import Rule, SubjectRules
+from keymint_ros2_dds.decision import semantics
+from keymint_ros2_dds.decision.evaluator import DocumentEvaluator, DomainAccess
+from keymint_ros2_dds.decision.semantics import Semantics, Variation
+from keymint_ros2_dds.lowering.endpoints import meanings
 from keymint_ros2_dds.lowering.lowered_rules import Lowered
+from keymint_ros2_dds.lowering.name_mapping import ARDENT, TopicAction
+from keymint_ros2_dds.proving import enclave_governance, octets
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance, cuts
+from keymint_ros2_dds.proving.grant_periods import GrantPeriod
+from keymint_ros2_dds.reading import dialects
 from keymint_ros2_dds.reading.signed_permissions import DocumentRule, PermissionsDocument
 
 
@@ -45,3 +63,176 @@ class ProofQuestion:
     def budget(self) -> SearchBudget:
         """Return the limits of a search for one answer."""
         return SearchBudget(self.task.states, self.task.go_on)
+
+
+def is_ros_name(name: str) -> bool:
+    """Whether a topic or service may have a fully qualified name (ROS 2 design, "Topic and Service Names")."""
+    return is_fully_qualified(name) and "__" not in name
+
+
+def deciding_rule(rules: SubjectRules, distro: str, action: str, topic: str, partition: str) -> Rule | None:
+    """Return the rule that decides about an endpoint: the first denial, else the first match, else None."""
+    edges = endpoint_edges(rules.subject, distro, action, topic, partition)
+    about = [rule for rule in rules.rules if any(_is_about(rule, edge, partition) for edge in edges)]
+    return next((rule for rule in about if rule.effect is Effect.DENY), about[0] if about else None)
+
+
+def endpoint_edges(subject: str, distro: str, action: str, topic: str, partition: str) -> tuple[Edge, ...]:
+    """Return the edge of an endpoint, and those of the ROS entities that need it."""
+    partitions = (partition,) if partition or distro == ARDENT else ()
+    endpoint = Edge(subject, action, Object("topic", topic, partitions))
+    return (endpoint, *meanings(distro, endpoint))
+
+
+def _is_about(rule: Rule, edge: Edge, partition: str) -> bool:
+    if not _in_partition(rule, edge, partition):
+        return False
+    return any(_matches(expression, name) for name in _names(rule, edge) for expression in rule.expressions)
+
+
+def _matches(expression: str, name: str) -> bool:
+    """Tell whether an expression matches a name, byte by byte."""
+    return matches(octets.of_glob(glob.parse(expression)), dialects.in_bytes(name))
+
+
+def _names(rule: Rule, edge: Edge) -> Iterator[str]:
+    """Yield the names to match against a rule; for a composite rule, without the suffix of its part."""
+    for permission in rule.permissions:
+        for kind, part, suffix in parts(rule.kind, permission):
+            if (kind, part) == (edge.object.kind, edge.permission) and edge.object.name.endswith(suffix):
+                yield edge.object.name[: len(edge.object.name) - len(suffix)]
+
+
+def _in_partition(rule: Rule, edge: Edge, partition: str) -> bool:
+    if rule.partitions:
+        return any(_matches(expression, partition) for expression in rule.partitions)
+    # An edge on a ROS name of Ardent has its partition in its name.
+    return rule.effect is Effect.DENY or not any(edge.object.partitions)
+
+
+_DATE = "%Y-%m-%dT%H:%M:%S"
+
+
+@dataclass(frozen=True, slots=True)
+class Situation:
+    """When two decisions are compared.
+
+    Attributes:
+        action: what somebody tries to do.
+        domain: DDS domain id.
+        inside: the policy applies in that domain.
+        era: the grant in force, and its period; None if none ever is.
+    """
+
+    action: str
+    domain: int
+    inside: bool
+    era: GrantPeriod | None
+
+
+@dataclass(frozen=True, slots=True)
+class Counterexamples:
+    """Makes counterexamples to the claims of one model.
+
+    Attributes:
+        question: the document, and what it must permit.
+        variation: the model.
+        refused: why the model reads no document at all, or an empty text.
+        eras: the periods in which a grant is in force.
+        pairs: words have partitions.
+    """
+
+    question: ProofQuestion
+    variation: Variation
+    refused: str
+    eras: tuple[GrantPeriod, ...]
+    pairs: bool
+
+    def of(self, situation: Situation, word: str, *, permitted: bool) -> tuple[Counterexample, str]:
+        """Return a name for which the policy and the documents decide differently, with both decisions.
+
+        The second value tells that the engine and the plain evaluators disagree; it is empty if they agree.
+
+        Args:
+            situation: when they differ.
+            word: the name, and its partition, in the alphabet of the engine.
+            permitted: the engine finds that the documents permit it.
+        """
+        task, governance = self.question.task, self.question.governance
+        action, domain, inside = situation.action, situation.domain, situation.inside
+        pair = word.split(octets.SEPARATOR) if self.pairs else ("", word)
+        partition, topic = map(octets.in_text, pair)
+        rules = task.rules if inside else SubjectRules(task.rules.subject, ())
+        edges = endpoint_edges(rules.subject, task.distro, action, topic, partition)
+        policy = _policy_decision(task.distro, rules, situation, topic, partition, permitted=permitted)
+        verdict = self._verdict(situation, topic, partition, permitted=permitted)
+        place, help_ = None, ""
+        if governance is not None and verdict.where is not None and verdict.where.file == governance.document.file:
+            place, help_ = verdict.where, enclave_governance.help_for(governance, domain)
+        example = Counterexample(
+            Endpoint(rules.subject, action, topic, edges[0].object.partitions, domain),
+            next((edge for edge in edges[1:] if is_ros_name(edge.object.name)), None),
+            policy,
+            verdict,
+            help_,
+            place,
+        )
+        agree = policy.allowed is not permitted and verdict.allowed is permitted
+        defect = f"the engine and the plain evaluators disagree on {topic!r}: a defect of Keymint"
+        return example, "" if agree else defect
+
+    def _verdict(self, situation: Situation, topic: str, partition: str, *, permitted: bool) -> Verdict:
+        """Return the verdict of the decision point about a topic and partition, by this model.
+
+        Where the engine finds it permitted, the permissions alone may do so: a peer evaluates its own governance.
+        """
+        question, governance, era = self.question, self.question.governance, situation.era
+        if self.refused:
+            return Verdict(allowed=False, reason=self.refused)
+        if era is None:
+            return self._never()
+        now, domain = era.begin, situation.domain
+        endpoint = situation.action, topic, (partition,) if partition else ()
+
+        def ask(variation: Variation) -> Verdict:
+            evaluator = DocumentEvaluator(question.document, question.task.subject_name, now, domain, variation)
+            if governance is None:
+                return evaluator.decide(*endpoint)
+            governed = DomainAccess(governance.document, domain, variation.semantics)
+            outcome = governed.decide(evaluator, *endpoint)
+            if not outcome.allowed and permitted and (alone := evaluator.decide(*endpoint)).allowed:
+                reason = f"{alone.reason}; only the governance of this enclave refuses it: peers evaluate their own"
+                return replace(alone, reason=reason)
+            return outcome
+
+        outcome = ask(self.variation)
+        deviation = "; ".join(map(str, semantics.explain(lambda other: ask(other).allowed, self.variation)))
+        reason = outcome.reason
+        if len(self.eras) > 1:
+            reason += f" (by the grant in force from {era.begin:{_DATE}} to {era.end:{_DATE}})"
+        return Verdict(outcome.allowed, reason, outcome.where, deviation)
+
+    def _never(self) -> Verdict:
+        """Return why no grant is ever in force."""
+        document, name = self.question.document, self.question.task.subject_name
+        grant = next(iter(self.variation.semantics.grants(document, name)), None)
+        if grant is None:
+            return Verdict(allowed=False, reason=f"no grant applies to {name!r}")
+        dates = f"{grant.not_before.strip()} to {grant.not_after.strip()}"
+        reason = f"the grant of {name!r} is never valid ({dates})"
+        return Verdict(allowed=False, reason=reason, where=document.place(grant.line))
+
+
+def _policy_decision(
+    distro: str, rules: SubjectRules, situation: Situation, topic: str, partition: str, *, permitted: bool
+) -> PolicyDecision:
+    if situation.action == TopicAction.RELAY:  # the evaluator of policies knows no relay
+        verb = "allow" if situation.inside and not permitted else "do not allow"
+        return PolicyDecision(allowed=not permitted, where=None, reason=Reason((f"the rules {verb} it",)))
+    rule = deciding_rule(rules, distro, situation.action, topic, partition)
+    if rule is None:
+        reason = "no rule allows it" if situation.inside else "not its domain"
+        return PolicyDecision(allowed=False, where=None, reason=Reason((reason,)))
+    allowed = rule.effect is Effect.ALLOW
+    verb = "allows" if allowed else "denies"
+    return PolicyDecision(allowed, rule.origin, Reason((f"the {rule.kind} rule {verb} it",)), rule.audit)

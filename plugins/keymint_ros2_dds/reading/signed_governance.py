@@ -19,8 +19,8 @@ from comarmor.values import dataclass
 from comarmor.xml.reader import line, parse
 from keymint.errors import KeymintError
 from keymint_ros2_dds.enclave_layout import GOVERNANCE, GOVERNANCE_XML
-from keymint_ros2_dds.reading import quirks
-from keymint_ros2_dds.reading.quirks import PLAIN, REFUSES, UNMODELLED, Quirk
+from keymint_ros2_dds.reading import dialects
+from keymint_ros2_dds.reading.dialects import PLAIN, REFUSES, UNMODELLED, Quirk
 from keymint_ros2_dds.reading.signed_permissions import DocumentDomains, defects_in_file
 
 ACCESS = {"publish": "enable_write_access_control", "subscribe": "enable_read_access_control"}
@@ -164,7 +164,7 @@ def _read(content: bytes) -> GovernanceDocument:
     if root.tag != "dds" or root.find("domain_access_rules") is None:
         where = Origin(GOVERNANCE_XML, line(root))
         raise KeymintError("this is not a governance document", where=where, code="document-kind")
-    defects, document_quirks = quirks.of_schema(root, GOVERNANCE, GOVERNANCE_XML, _quirks(content, root))
+    defects, document_quirks = dialects.quirks_by_schema(root, GOVERNANCE, GOVERNANCE_XML, _quirks(content, root))
     rules = tuple(map(_domain_rule, root.iterfind("domain_access_rules/domain_rule")))
     return GovernanceDocument(GOVERNANCE_XML, rules, defects, document_quirks)
 
@@ -222,9 +222,9 @@ def _is_true(element: etree._Element, tag: str, *, otherwise: bool = True) -> bo
 def _quirks(content: bytes, root: etree._Element) -> Iterator[Quirk]:
     """Yield the quirks of a document that its schema allows."""
     inner_end = max(content.find(b"</domain_access_rules>"), 0)  # Fast DDS refuses a comment after it
-    for quirk in quirks.of_bytes(content, comments_until=inner_end):
+    for quirk in dialects.quirks_of_bytes(content, comments_until=inner_end):
         yield Quirk(quirk.line, quirk.text, UNMODELLED, UNMODELLED)
-    yield from quirks.of_domain_ids(root)
+    yield from dialects.quirks_of_domain_ids(root)
     for element in root.iter():
         text = _raw(element)
         if len(element):

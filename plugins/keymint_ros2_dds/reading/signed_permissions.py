@@ -22,8 +22,8 @@ from comarmor.xml.reader import line, parse
 from keymint.api import DomainRange
 from keymint.errors import KeymintError
 from keymint_ros2_dds.domains import MAX_DOMAIN
-from keymint_ros2_dds.reading import dialects, quirks
-from keymint_ros2_dds.reading.quirks import BLANKS, CRASHES, PLAIN, REFUSES, UNMODELLED, Quirk
+from keymint_ros2_dds.reading import dialects
+from keymint_ros2_dds.reading.dialects import BLANKS, CRASHES, PLAIN, REFUSES, UNMODELLED, Quirk
 
 ACTIONS = ("publish", "subscribe", "relay")
 _RULES = frozenset(("allow_rule", "deny_rule"))
@@ -159,8 +159,10 @@ def read(content: bytes, file: str = "permissions.xml", offset: int = 0) -> Perm
     except ComArmorError as error:
         raise KeymintError.of(defects_in_file(error.diagnostics, file, offset)) from None
     crash = next(_crashes(root), None)
-    own = chain(quirks.of_bytes(content), quirks.of_domain_ids(root), _quirks(root), filter(None, [crash]))
-    defects, document_quirks = quirks.of_schema(root, "permissions", file, own)
+    own = chain(
+        dialects.quirks_of_bytes(content), dialects.quirks_of_domain_ids(root), _quirks(root), filter(None, [crash])
+    )
+    defects, document_quirks = dialects.quirks_by_schema(root, "permissions", file, own)
     return PermissionsDocument(file, grants, defects_in_file(defects, file, offset), document_quirks, crash, offset)
 
 

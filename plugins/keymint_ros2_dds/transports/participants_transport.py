@@ -167,7 +167,7 @@ def _plugin(models: EnclaveModels, subject: str, domain: int) -> Iterator[Cyclon
     if refusal := _refusal(folder, enclave_model):
         yield refusal
         return
-    with CycloneAccessControl.of_enclave(folder, domain) as access:
+    with CycloneAccessControl(folder, domain) as access:
         joins = access.valid and access.joins()
         yield access if joins else f"Cyclone DDS refuses the enclave: {access.reason}"
 

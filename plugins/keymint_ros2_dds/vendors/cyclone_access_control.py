@@ -25,9 +25,6 @@ from typing import Any, Self
 from comarmor.values import dataclass
 from keymint_ros2_dds.enclave_layout import PERMISSIONS_CA, authority_file
 
-Document = Path | bytes | str
-"""A file, the content itself, or a URI (``file:`` or ``data:,``) as the property of a participant has it."""
-
 _SONAMES = ("libddsc.so.0debian", "libddsc.so.0", "libddsc.so")
 _FOLDERS = ("/usr/lib/*/libddsc*", "/usr/lib/*", "/usr/lib", "/usr/local/lib", "/opt/ros/*/lib", "/opt/ros/*/lib/*")
 _ROOM_FOR_DOMAIN = 1 << 16
@@ -142,36 +139,25 @@ class CycloneAccessControl:
     Use it as a context manager, or :meth:`close` it: that frees the plugin instance.
 
     Args:
-        certificate: identity certificate, PEM.
-        permissions_ca: certificate of the permissions authority, PEM.
-        governance: signed governance document (S/MIME).
-        permissions: signed permissions document (S/MIME).
+        folder: the enclave, in the layout of sros2, current or of Ardent (one file for both authorities).
         domain: DDS domain id.
 
     Attributes:
         reason: the plugin's message about the last denial.
     """
 
-    def __init__(
-        self,
-        *,
-        certificate: Document,
-        permissions_ca: Document,
-        governance: Document,
-        permissions: Document,
-        domain: int = 0,
-    ) -> None:
+    def __init__(self, folder: Path, domain: int = 0) -> None:
         self._library = library()
         self._domain = domain
         self._exception = _Exception()
-        self._qos = _qos(
-            {
-                b"dds.sec.auth.identity_certificate": _uri(certificate),
-                b"dds.sec.access.permissions_ca": _uri(permissions_ca),
-                b"dds.sec.access.governance": _uri(governance),
-                b"dds.sec.access.permissions": _uri(permissions),
-            }
-        )
+        files = {
+            b"dds.sec.auth.identity_certificate": "cert.pem",
+            b"dds.sec.access.permissions_ca": authority_file(folder, PERMISSIONS_CA),
+            b"dds.sec.access.governance": "governance.p7s",
+            b"dds.sec.access.permissions": "permissions.p7s",
+        }
+        place = b"file:" + os.fsencode(folder.resolve()) + b"/"
+        self._qos = _qos({name: place + file.encode() for name, file in files.items()})
         self.reason = ""
         self._plugin = POINTER(_Plugin)()
         if self._library.plugin.init_access_control(None, byref(self._plugin), byref(self._library.domain)):
@@ -191,17 +177,6 @@ class CycloneAccessControl:
                 self._plugin, any_authentication_plugin, any_identity, domain, self._qos, self._exception
             )
         self._noted(self._handle != 0)
-
-    @classmethod
-    def of_enclave(cls, folder: Path, domain: int = 0) -> Self:
-        """Open an enclave in the layout of sros2, current or of Ardent (``ca.cert.pem`` for both authorities)."""
-        return cls(
-            certificate=folder / "cert.pem",
-            permissions_ca=folder / authority_file(folder, PERMISSIONS_CA),
-            governance=folder / "governance.p7s",
-            permissions=folder / "permissions.p7s",
-            domain=domain,
-        )
 
     @property
     def valid(self) -> bool:
@@ -272,12 +247,6 @@ def _silent() -> Iterator[None]:
         os.dup2(kept, 1)
         os.close(nowhere)
         os.close(kept)
-
-
-def _uri(document: Document) -> bytes:
-    if isinstance(document, bytes):
-        return b"data:," + document
-    return b"file:" + os.fsencode(document.resolve()) if isinstance(document, Path) else document.encode()
 
 
 def _octets(name: str) -> bytes:

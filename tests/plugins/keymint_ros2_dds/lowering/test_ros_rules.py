@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from keymint_ros2_dds.lowering.lowered_rules import lower
-from keymint_ros2_dds.lowering.name_mapping import TopicAction
-from keymint_ros2_dds.lowering.ros_rules import in_ros
+from keymint_ros2_dds.lowering.name_mapping import TopicAction, in_ros
 
 from comarmor.errors import Origin
 from comarmor.patterns.expression import canonical

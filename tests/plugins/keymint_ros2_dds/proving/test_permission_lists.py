@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from keymint_ros2_dds.decision.evaluator import DocumentEvaluator
 from keymint_ros2_dds.decision.semantics import VARIATIONS
 from keymint_ros2_dds.lowering.lowered_rules import lower
-from keymint_ros2_dds.proving import counterexamples, document_lists
+from keymint_ros2_dds.proving import document_lists, questions
 from keymint_ros2_dds.proving.octets import read
 from keymint_ros2_dds.reading import dialects, signed_permissions
 
@@ -149,7 +149,7 @@ def test_lists_of_a_policy_say_what_its_rules_say(drawn):
         plain = document_lists.of_policy(lowered, action, pairs=False)
         for topic, partition in itertools.product(TOPICS, ("", "p", "r", "*")):
             expected = oracle(told, action, topic, (partition,) if partition else ())
-            rule = counterexamples.deciding_rule(told, "jazzy", action, topic, partition)
+            rule = questions.deciding_rule(told, "jazzy", action, topic, partition)
             assert (rule is not None and rule.effect == "ALLOW") == expected
             assert permits(found, f"{partition}\0{topic}") == expected
             if not partition:

@@ -8,7 +8,7 @@ import itertools
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from keymint_ros2_dds.proving.counterexamples import deciding_rule, is_ros_name
+from keymint_ros2_dds.proving.questions import deciding_rule, is_ros_name
 
 from comarmor.rules import Effect
 from keymint.ir import SubjectRules

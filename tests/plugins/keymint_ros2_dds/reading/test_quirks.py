@@ -6,8 +6,8 @@ from __future__ import annotations
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from keymint_ros2_dds.reading import quirks
-from keymint_ros2_dds.reading.quirks import PLAIN, REFUSES, UNMODELLED
+from keymint_ros2_dds.reading import dialects
+from keymint_ros2_dds.reading.dialects import PLAIN, REFUSES, UNMODELLED
 from lxml import etree
 
 from tests.plugins.keymint_ros2_dds.decision import documents
@@ -17,14 +17,14 @@ PARTS = CONTENT.split(b"\n")
 
 
 def summary(content: bytes, **options: int) -> list[tuple[int, str]]:
-    return [(each.line, each.text) for each in quirks.of_bytes(content, **options)]
+    return [(each.line, each.text) for each in dialects.quirks_of_bytes(content, **options)]
 
 
 def test_a_plain_document_has_none() -> None:
     root = etree.fromstring(CONTENT)
     assert summary(CONTENT) == []
-    assert list(quirks.of_domain_ids(root)) == []
-    assert quirks.of_schema(root, "permissions", "p.xml") == ((), ())
+    assert list(dialects.quirks_of_domain_ids(root)) == []
+    assert dialects.quirks_by_schema(root, "permissions", "p.xml") == ((), ())
 
 
 @given(st.lists(st.sampled_from([b"<!-- c -->", b"<!-- <x > &#1; -->", b"\n", b" "]), max_size=4), st.integers(0, 99))
@@ -56,7 +56,7 @@ def test_comments_count_from_an_offset_on() -> None:
     ],
 )
 def test_encodings(declaration: bytes, known: bool) -> None:
-    found = list(quirks.of_bytes(declaration + CONTENT))
+    found = list(dialects.quirks_of_bytes(declaration + CONTENT))
     assert [(each.cyclone, each.fast) for each in found] == ([] if known else [(UNMODELLED, UNMODELLED)])
 
 
@@ -73,14 +73,14 @@ def test_the_declaration_may_have_lines() -> None:
 @pytest.mark.parametrize("tag", ["id", "min", "max"])
 def test_domain_ids(tag: str, text: str, cyclone: object, fast: object) -> None:
     root = etree.fromstring(f"<domains>\n<{tag}>{text}</{tag}></domains>")
-    found = [(each.line, each.cyclone, each.fast) for each in quirks.of_domain_ids(root)]
+    found = [(each.line, each.cyclone, each.fast) for each in dialects.quirks_of_domain_ids(root)]
     assert found == ([] if cyclone is None else [(2, cyclone, fast)])
 
 
 def test_what_the_schema_does_not_allow_is_an_error_and_a_quirk() -> None:
     root = etree.fromstring(CONTENT.replace(b"<default>DENY</default>", b"\n<default>MAYBE</default>"))
-    (defect, *_), (quirk,) = quirks.of_schema(root, "permissions", "p.xml")
+    (defect, *_), (quirk,) = dialects.quirks_by_schema(root, "permissions", "p.xml")
     assert str(defect.where) == f"p.xml:{quirk.line}"
     assert defect.message in quirk.text
     assert (quirk.cyclone, quirk.fast) == (UNMODELLED, UNMODELLED)
-    assert quirks.of_schema(root, "governance", "g.xml")[0]
+    assert dialects.quirks_by_schema(root, "governance", "g.xml")[0]
