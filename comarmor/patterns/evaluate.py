@@ -66,11 +66,34 @@ class Evaluator:
             first = self._first_match(word, first)
         return first < len(self.effects) and self.effects[first]
 
-    def permitted_literals(self) -> Iterator[str]:
-        """Yield the permitted words among :attr:`literals`."""
-        for word, number in self.literals.items():
-            if self.effects[number] if number <= self._first_wild else self.permits(word):
-                yield word
+    def permitted_among(self, words: AbstractSet[str]) -> frozenset[str]:
+        """Return the permitted ones of some words, which include all :attr:`literals`."""
+        if self.allowed and len(words) > len(self.literals):
+            return self._permitted.union(filter(self.permits, words - self.literals.keys()))
+        return self._permitted
+
+    def denies(self, pattern: Glob, before: int) -> bool:
+        """Return whether one of its patterns provably denies all that a pattern matches, before a block."""
+        return any(self.denied.get(wider, before) < before for wider in _wider(pattern))
+
+    @cached_property
+    def allowed(self) -> dict[Glob, int]:
+        """Patterns with wildcards that no earlier block denies, with the first block that allows each."""
+        return {pattern: block for pattern, block in self.wild.items() if self.effects[block]}
+
+    @cached_property
+    def denied(self) -> dict[Glob, int]:
+        """Patterns with wildcards that no earlier block allows, with the first block that denies each; in order."""
+        return {pattern: block for pattern, block in self.wild.items() if not self.effects[block]}
+
+    @cached_property
+    def _permitted(self) -> frozenset[str]:
+        """The permitted words among :attr:`literals`."""
+        return frozenset(
+            word
+            for word, number in self.literals.items()
+            if (self.effects[number] if number <= self._first_wild else self.permits(word))
+        )
 
     def _first_match(self, word: str, before: int) -> int:
         """Return the first block before another one with a wildcard pattern that matches a word, or that other one."""
@@ -115,7 +138,7 @@ def equal(a: DecisionList, b: Sequence[DecisionList], universe: Universe) -> boo
     left, right = _split(a), tuple(map(_split, b))
     if not (any(_implies(each, left) for each in right) and all(_implies(left, each) for each in right)):
         return False
-    words = left.literals | set().union(*(each.literals for each in right))
+    words = left.literals.keys() | set().union(*(each.literals for each in right))
     permitted = frozenset.intersection(*(each.permitted_among(words) for each in right))
     return not any(word in universe for word in left.permitted_among(words) ^ permitted)
 
@@ -125,44 +148,8 @@ def implies(a: DecisionList, b: DecisionList, universe: Universe) -> bool:
     left, right = _split(a), _split(b)
     if not _implies(left, right):
         return False
-    words = left.literals | right.literals
+    words = left.literals.keys() | right.literals.keys()
     return not any(word in universe for word in left.permitted_among(words) - right.permitted_among(words))
-
-
-class _SplitList:
-    """A list as its literal words and its patterns with wildcards.
-
-    Args:
-        decisions: the list.
-
-    Attributes:
-        literals: the literal words.
-        allowed: patterns with wildcards that no earlier block denies, with the first block that allows each.
-        denied: patterns with wildcards that no earlier block allows, with the first block that denies each; in order.
-    """
-
-    __slots__ = ("_permits", "_permitted", "allowed", "denied", "literals")
-
-    def __init__(self, decisions: DecisionList) -> None:
-        evaluator = Evaluator(decisions)
-        if any(isinstance(token, Charset) for pattern in evaluator.wild for token in pattern):
-            evaluator = Evaluator(_expanded(decisions))
-        effects = evaluator.effects
-        self.literals: AbstractSet[str] = evaluator.literals.keys()
-        self.allowed = {pattern: block for pattern, block in evaluator.wild.items() if effects[block]}
-        self.denied = {pattern: block for pattern, block in evaluator.wild.items() if not effects[block]}
-        self._permits = evaluator.permits
-        self._permitted = frozenset(evaluator.permitted_literals())
-
-    def permitted_among(self, words: AbstractSet[str]) -> frozenset[str]:
-        """Return the permitted ones of some words, which include all its literals."""
-        if self.allowed and len(words) > len(self.literals):
-            return self._permitted.union(filter(self._permits, words - self.literals))
-        return self._permitted
-
-    def denies(self, pattern: Glob, before: int) -> bool:
-        """Return whether one of its patterns provably denies all that a pattern matches, before a block."""
-        return any(self.denied.get(wider, before) < before for wider in _wider(pattern))
 
 
 def _expanded(decisions: DecisionList) -> DecisionList:
@@ -181,11 +168,15 @@ def _expanded(decisions: DecisionList) -> DecisionList:
 
 # An enclave asks about few lists, each several times: for each model, and in both directions.
 @lru_cache(maxsize=16)
-def _split(decisions: DecisionList) -> _SplitList:
-    return _SplitList(decisions)
+def _split(decisions: DecisionList) -> Evaluator:
+    """Return the evaluator of a list, in which words stand for the patterns that match few."""
+    evaluator = Evaluator(decisions)
+    if any(isinstance(token, Charset) for pattern in evaluator.wild for token in pattern):
+        return Evaluator(_expanded(decisions))
+    return evaluator
 
 
-def _implies(inner: _SplitList, outer: _SplitList) -> bool:
+def _implies(inner: Evaluator, outer: Evaluator) -> bool:
     """Return whether a list provably implies another one, except for words that are literals of either."""
     extra: dict[tuple[int, int], list[Glob]] = {}
     remaining = MAX_PAIRS
@@ -208,7 +199,7 @@ def _implies(inner: _SplitList, outer: _SplitList) -> bool:
     return True
 
 
-def _extra_denials(inner: _SplitList, block: int, outer: _SplitList, outer_block: int) -> Iterator[Glob]:
+def _extra_denials(inner: Evaluator, block: int, outer: Evaluator, outer_block: int) -> Iterator[Glob]:
     """Yield the denials before a block of the outer list that are not before a block of the inner one."""
     for denial, number in outer.denied.items():
         if number >= outer_block:

@@ -21,7 +21,7 @@ MAX_PIECES = 1000
 
 @dataclass(frozen=True, slots=True)
 class Arrangement:
-    """A decision list: allow ``free``, then deny ``deny``, then allow ``rest``, else deny.
+    """A decision list: allow ``free``, then deny ``deny``, then allow ``rest``.
 
     Attributes:
         free: patterns that no denial overlaps; they may come anywhere.
@@ -30,8 +30,8 @@ class Arrangement:
     """
 
     free: tuple[Glob, ...]
-    deny: tuple[Glob, ...] = ()
-    rest: tuple[Glob, ...] = ()
+    deny: tuple[Glob, ...]
+    rest: tuple[Glob, ...]
 
 
 def arrange(allow: Iterable[Glob], deny: Iterable[Glob], *, reduced: bool = True) -> Arrangement:
@@ -83,27 +83,18 @@ def _arrange_all(allow: tuple[Glob, ...], deny: tuple[Glob, ...]) -> Arrangement
     return Arrangement(tuple(glob for glob in allow if glob not in in_rest), overlapping, rest)
 
 
-@dataclass(frozen=True, slots=True)
-class EarlyRules:
-    """Rules that must come before the denials of the other direction.
-
-    Attributes:
-        clean: patterns to allow that no denial of their own direction overlaps.
-        deny: patterns to deny before ``dirty`` is allowed; the other direction denies them as well.
-        dirty: patterns to allow that ``deny`` overlaps.
-    """
-
-    clean: tuple[Glob, ...] = ()
-    deny: tuple[Glob, ...] = ()
-    dirty: tuple[Glob, ...] = ()
-
-
-def early_rules(denies: Iterable[Glob], order: Arrangement) -> EarlyRules:
+def early_rules(denies: Iterable[Glob], order: Arrangement) -> Arrangement:
     """Return rules for every name that ``order`` permits and ``denies`` match, and for none that ``order`` denies.
+
+    They must come before the denials of the other direction.
 
     Args:
         denies: patterns that the other direction denies.
         order: the decision list of this direction; its ``free`` part comes first anyway.
+
+    Returns:
+        The start of a decision list: no denial of this direction overlaps ``free``, and both directions deny what
+        ``deny`` matches.
 
     Raises:
         TooComplexError: this needs too many patterns.
@@ -115,17 +106,17 @@ def early_rules(denies: Iterable[Glob], order: Arrangement) -> EarlyRules:
             overlaps.update(dict.fromkeys(intersection(glob, deny)))
         if len(overlaps) > MAX_PIECES:
             raise TooComplexError
-    clean: list[Glob] = []
-    dirty: list[Glob] = []
+    free: list[Glob] = []
+    rest: list[Glob] = []
     overlapping: dict[Glob, None] = {}
     for piece in maximal(overlaps):
         if any(covers(glob, piece) for glob in (*order.free, *order.deny)):
             continue
         own_denials = [deny for deny in order.deny if not disjoint(deny, piece)]
         overlapping.update(dict.fromkeys(own_denials))
-        (dirty if own_denials else clean).append(piece)
-    # Both directions deny these names, so that denying them early does no harm, also outside of the dirty patterns.
+        (rest if own_denials else free).append(piece)
+    # Both directions deny these names, so that denying them early does no harm, also outside of the rest.
     denied = {piece: None for own in overlapping for deny in denies for piece in intersection(own, deny)}
     if len(denied) > MAX_PIECES:
         raise TooComplexError
-    return EarlyRules(tuple(clean), tuple(maximal(denied)), tuple(dirty))
+    return Arrangement(tuple(free), tuple(maximal(denied)), tuple(rest))

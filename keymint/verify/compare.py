@@ -6,9 +6,9 @@ that permits one of them, although a subject that may publish requests can alrea
 of services, actions and parameters that a transport denies are compared too; an endpoint that it allows alone is a
 false positive of its own, a *half*.
 
-Most transports answer edge by edge (:func:`compare`, and :func:`with_halves` after it). One that decides about all
-endpoints of a subject at once is asked about edges for the reasons of mismatches only (:func:`compare_endpoints`); the
-result is the same.
+Most transports answer edge by edge (:meth:`TransportComparison.edges`, and after it
+:meth:`TransportComparison.halves`). One that decides about all endpoints of a subject at once is asked about edges for
+the reasons of mismatches only (:meth:`TransportComparison.all_endpoints`); the result is the same.
 """
 
 from __future__ import annotations
@@ -50,163 +50,145 @@ class Asking:
     tally: Tally | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Asked:
-    """A transport that is compared with the policy.
+class TransportComparison:
+    """Compares one transport with the policy.
 
-    Attributes:
-        name: its name.
+    Args:
+        name: name of the transport.
         transport: the transport, which is usable.
         enclaves: the enclave of each subject of the edges.
         explain: returns mismatches with their reasons.
         asking: how to ask.
     """
 
-    name: str
-    transport: Transport
-    enclaves: Mapping[str, Enclave]
-    explain: Explain
-    asking: Asking
+    def __init__(
+        self, name: str, transport: Transport, enclaves: Mapping[str, Enclave], explain: Explain, asking: Asking
+    ) -> None:
+        self._name = name
+        self._transport = transport
+        self._enclaves = enclaves
+        self._explain = explain
+        self._asking = asking
+        self._counts = [[0, 0], [0, 0]]
+        """Numbers of edges: first whether the policy allows them, then whether the transport does."""
+        self._findings: list[Mismatch] = []
+        self._endpoints = 0
+        self._wrong: dict[str, int] = {}
 
-    def compared(self, confusion: ConfusionMatrix, found: _Found, endpoints: int = 0) -> EdgeComparison:
-        """Return the comparison; the last findings are of single endpoints."""
-        version, tier = self.transport.usable().version, self.asking.tier
-        return EdgeComparison(self.name, version, tier, confusion, tuple(found.findings), found.wrong, endpoints)
+    def result(self) -> EdgeComparison:
+        """Return the counts and the first mismatches; the last ones are of single endpoints."""
+        (true_negative, false_positive), (false_negative, true_positive) = self._counts
+        confusion = ConfusionMatrix(true_positive, false_negative, false_positive, true_negative)
+        version, tier = self._transport.usable().version, self._asking.tier
+        return EdgeComparison(self._name, version, tier, confusion, tuple(self._findings), self._wrong, self._endpoints)
 
+    def edges(self, edges: Iterable[Edge], labels: Iterable[int]) -> None:
+        """Compare edge by edge.
 
-class _Found:
-    """The mismatches of a transport so far: the first ones, and the number of each subject."""
+        Args:
+            edges: grouped by subject.
+            labels: the policy's label of each edge: 1 allowed, 0 denied.
 
-    def __init__(self, asked: Asked, findings: Iterable[Mismatch] = (), wrong: Mapping[str, int] | None = None) -> None:
-        self._asked = asked
-        self.findings = list(findings)
-        self.wrong = dict(wrong or {})
+        Raises:
+            KeymintError: the transport does not work.
+        """
+        expected, tally = iter(labels), self._asking.tally
+        for subject, labelled in label_by_subject(self._transport, self._enclaves, edges, self._asking.tier):
+            wrong: list[tuple[Edge, Verdict]] = []
+            count, room = 0, self._room
+            for edge, verdict in labelled:
+                allowed = next(expected)
+                decided = verdict.allowed if not verdict.partial else not allowed
+                self._counts[allowed][decided] += 1
+                if tally is not None:
+                    tally.add(edge, verdict, agreed=allowed == decided)
+                if allowed != decided:
+                    count += 1
+                    if count <= room:
+                        wrong.append((edge, replace(verdict, allowed=decided)))
+            if count:
+                self._add(subject, count, wrong)
+            self._asking.on_subject(self._name, subject)
+
+    def halves(self, rows: Iterable[EdgeRow], labels: bytes | bytearray, policy: EndpointPolicy) -> None:
+        """Add the endpoints that are false positives to a comparison edge by edge, each as an edge of its own.
+
+        An endpoint is omitted if its edge is a false positive already.
+
+        Args:
+            rows: the edges.
+            labels: the policy's label of each edge: 1 allowed, 0 denied.
+            policy: the policy on endpoints, with the naming of each subject that has one.
+
+        Raises:
+            KeymintError: the transport does not work.
+        """
+        waiting: dict[str, tuple[EdgeRow, bytes, MappedColumn]] = {}
+        of_edges = len(self._findings)
+        endpoints = _endpoints(labelled_rows(rows, labels), policy.namings, waiting)
+        for subject, labelled in label_by_subject(self._transport, self._enclaves, endpoints, self._asking.tier):
+            verdicts = dict(labelled)
+            row, expected, column = waiting.pop(subject)
+            answers = (verdicts.get(row.edge(each)) for each in column.endpoints.requests)
+            halves = _halves(row, expected, column, bytes(bool(each and each.allowed) for each in answers), policy)
+            if halves:
+                self._counts[0][1] += len(halves)
+                self._add(subject, len(halves), [(each, verdicts[each]) for each in halves[: self._room]])
+        self._endpoints = len(self._findings) - of_edges
+
+    def all_endpoints(self, rows: Iterable[EdgeRow], labels: bytes | bytearray, policy: EndpointPolicy) -> None:
+        """Compare a transport that decides about all endpoints of a subject at once, halves included.
+
+        Args:
+            rows: the edges.
+            labels: the policy's label of each edge: 1 allowed, 0 denied.
+            policy: the policy on endpoints, with the naming of each subject.
+
+        Raises:
+            KeymintError: the transport does not work.
+        """
+        single: dict[str, list[tuple[Edge, bool]]] = {}
+        for row, expected in labelled_rows(rows, labels):
+            column = mapped_column(row.column, policy.namings[row.subject])
+            admitted = _admitted(self._transport, self._enclaves[row.subject], column, self._asking.tier)
+            decided = column.allowed(admitted)
+            if halves := _halves(row, expected, column, admitted, policy):
+                single[row.subject] = [(edge, True) for edge in halves]
+            if decided != expected:
+                differing = [
+                    (row.edge(request), bool(allowed))
+                    for request, allowed, label in zip(row.column.requests, decided, expected, strict=True)
+                    if allowed != label
+                ]
+                self._ask(row.subject, differing)
+            both, by_policy, by_transport = sum(map(and_, expected, decided)), expected.count(1), decided.count(1)
+            self._counts[1][1] += both
+            self._counts[1][0] += by_policy - both
+            self._counts[0][1] += by_transport - both
+            self._counts[0][0] += len(expected) - by_policy - by_transport + both
+            self._asking.on_subject(self._name, row.subject)
+        of_edges = len(self._findings)
+        for subject, edges in single.items():
+            self._counts[0][1] += len(edges)
+            self._ask(subject, edges)
+        self._endpoints = len(self._findings) - of_edges
 
     @property
-    def room(self) -> int:
-        """How many more are kept."""
-        return max(0, self._asked.asking.limit - len(self.findings))
+    def _room(self) -> int:
+        """How many more mismatches are kept."""
+        return max(0, self._asking.limit - len(self._findings))
 
-    def add(self, subject: str, count: int, kept: list[tuple[Edge, Verdict]]) -> None:
+    def _add(self, subject: str, count: int, kept: list[tuple[Edge, Verdict]]) -> None:
         """Count mismatches of a subject, and keep the first of them."""
-        self.wrong[subject] = self.wrong.get(subject, 0) + count
+        self._wrong[subject] = self._wrong.get(subject, 0) + count
         if kept:
-            self.findings += self._asked.explain(self._asked.name, self._asked.enclaves[subject], kept)
+            self._findings += self._explain(self._name, self._enclaves[subject], kept)
 
-    def ask(self, subject: str, wrong: Sequence[tuple[Edge, bool]]) -> None:
+    def _ask(self, subject: str, wrong: Sequence[tuple[Edge, bool]]) -> None:
         """Count mismatches of a subject; the transport is asked for its reasons of those that are kept."""
-        first, asked = dict(wrong[: self.room]), self._asked
-        again = label_enclave(asked.transport, asked.enclaves[subject], first, asked.asking.tier) if first else ()
-        self.add(subject, len(wrong), [(edge, replace(verdict, allowed=first[edge])) for edge, verdict in again])
-
-
-def compare(asked: Asked, edges: Iterable[Edge], labels: Iterable[int]) -> EdgeComparison:
-    """Compare a transport with the policy, edge by edge.
-
-    Args:
-        asked: the transport.
-        edges: grouped by subject.
-        labels: the policy's label of each edge: 1 allowed, 0 denied.
-
-    Raises:
-        KeymintError: the transport does not work.
-    """
-    expected, tally = iter(labels), asked.asking.tally
-    counts = [[0, 0], [0, 0]]
-    found = _Found(asked)
-    for subject, labelled in label_by_subject(asked.transport, asked.enclaves, edges, asked.asking.tier):
-        wrong: list[tuple[Edge, Verdict]] = []
-        count, room = 0, found.room
-        for edge, verdict in labelled:
-            allowed = next(expected)
-            decided = verdict.allowed if not verdict.partial else not allowed
-            counts[allowed][decided] += 1
-            if tally is not None:
-                tally.add(edge, verdict, agreed=allowed == decided)
-            if allowed != decided:
-                count += 1
-                if count <= room:
-                    wrong.append((edge, replace(verdict, allowed=decided)))
-        if count:
-            found.add(subject, count, wrong)
-        asked.asking.on_subject(asked.name, subject)
-    (true_negative, false_positive), (false_negative, true_positive) = counts
-    return asked.compared(ConfusionMatrix(true_positive, false_negative, false_positive, true_negative), found)
-
-
-def with_halves(
-    asked: Asked, outcome: EdgeComparison, rows: Iterable[EdgeRow], labels: bytes | bytearray, policy: EndpointPolicy
-) -> EdgeComparison:
-    """Add the endpoints that are false positives to a comparison edge by edge, each as an edge of its own.
-
-    An endpoint is omitted if its edge is a false positive already.
-
-    Args:
-        asked: the transport.
-        outcome: the comparison of the edges.
-        rows: the edges.
-        labels: the policy's label of each edge: 1 allowed, 0 denied.
-        policy: the policy on endpoints, with the naming of each subject that has one.
-
-    Raises:
-        KeymintError: the transport does not work.
-    """
-    waiting: dict[str, tuple[EdgeRow, bytes, MappedColumn]] = {}
-    found = _Found(asked, outcome.findings, outcome.wrong)
-    count = 0
-    endpoints = _endpoints(labelled_rows(rows, labels), policy.namings, waiting)
-    for subject, labelled in label_by_subject(asked.transport, asked.enclaves, endpoints, asked.asking.tier):
-        verdicts = dict(labelled)
-        row, expected, column = waiting.pop(subject)
-        answers = (verdicts.get(row.edge(each)) for each in column.endpoints.requests)
-        halves = _halves(row, expected, column, bytes(bool(each and each.allowed) for each in answers), policy)
-        if halves:
-            count += len(halves)
-            found.add(subject, len(halves), [(each, verdicts[each]) for each in halves[: found.room]])
-    confusion = replace(outcome.confusion, false_positive=outcome.confusion.false_positive + count)
-    return asked.compared(confusion, found, len(found.findings) - len(outcome.findings))
-
-
-def compare_endpoints(
-    asked: Asked, rows: Iterable[EdgeRow], labels: bytes | bytearray, policy: EndpointPolicy
-) -> EdgeComparison:
-    """Compare a transport that decides about all endpoints of a subject at once, halves included.
-
-    Args:
-        asked: the transport.
-        rows: the edges.
-        labels: the policy's label of each edge: 1 allowed, 0 denied.
-        policy: the policy on endpoints, with the naming of each subject.
-
-    Raises:
-        KeymintError: the transport does not work.
-    """
-    found = _Found(asked)
-    single: dict[str, list[tuple[Edge, bool]]] = {}
-    both = by_policy = by_transport = 0
-    for row, expected in labelled_rows(rows, labels):
-        column = mapped_column(row.column, policy.namings[row.subject])
-        admitted = _admitted(asked.transport, asked.enclaves[row.subject], column, asked.asking.tier)
-        decided = column.allowed(admitted)
-        if halves := _halves(row, expected, column, admitted, policy):
-            single[row.subject] = [(edge, True) for edge in halves]
-        if decided != expected:
-            differing = [
-                (row.edge(request), bool(allowed))
-                for request, allowed, label in zip(row.column.requests, decided, expected, strict=True)
-                if allowed != label
-            ]
-            found.ask(row.subject, differing)
-        both += sum(map(and_, expected, decided))
-        by_policy += expected.count(1)
-        by_transport += decided.count(1)
-        asked.asking.on_subject(asked.name, row.subject)
-    of_edges = len(found.findings)
-    for subject, edges in single.items():
-        found.ask(subject, edges)
-    false_positive = by_transport - both + sum(map(len, single.values()))
-    confusion = ConfusionMatrix(both, by_policy - both, false_positive, len(labels) - by_policy - by_transport + both)
-    return asked.compared(confusion, found, len(found.findings) - of_edges)
+        first, enclave = dict(wrong[: self._room]), self._enclaves[subject]
+        again = label_enclave(self._transport, enclave, first, self._asking.tier) if first else ()
+        self._add(subject, len(wrong), [(edge, replace(verdict, allowed=first[edge])) for edge, verdict in again])
 
 
 def _endpoints(

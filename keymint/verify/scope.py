@@ -33,33 +33,22 @@ from keymint.workspace.session import Inputs, Session
 _Value = TypeVar("_Value")
 
 
-@dataclass(frozen=True, slots=True)
-class Names:
-    """Tells which objects have a name on the transports of a build type.
+@lru_cache(maxsize=1 << 16)
+def has_name(build_type: BuildType, distro: str, object_: Object) -> bool:
+    """Tell whether an object has a name on the transports of a build type.
 
-    Attributes:
+    Args:
         build_type: the build type.
         distro: ROS 2 distribution whose name mapping applies.
+        object_: the object.
+
+    Raises:
+        KeymintError: the distribution has no objects of this kind.
     """
-
-    build_type: BuildType
-    distro: str
-
-    def has(self, object_: Object) -> bool:
-        """Tell whether an object has a name.
-
-        Raises:
-            KeymintError: the distribution has no objects of this kind.
-        """
-        return _has_name(self, object_)
-
-
-@lru_cache(maxsize=1 << 16)
-def _has_name(names: Names, object_: Object) -> bool:
-    if object_.kind not in names.build_type.KINDS:
+    if object_.kind not in build_type.KINDS:
         return False
-    actions = names.build_type.actions(names.distro, Edge("/", LABELLED[object_.kind][0], object_))
-    return bool(actions) or not names.build_type.NOUN
+    actions = build_type.actions(distro, Edge("/", LABELLED[object_.kind][0], object_))
+    return bool(actions) or not build_type.NOUN
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +57,8 @@ class VerificationScope:
 
     Attributes:
         build_type: its name.
-        names: tells which objects have a name on its transports; these are not asked about others.
+        plugin: the build type.
+        distro: ROS 2 distribution whose name mapping applies.
         enclaves: installed enclaves by subject, sorted.
         namings: the naming of each subject, if the build type has one.
         domains: the first domain of each subject's grant.
@@ -76,11 +66,16 @@ class VerificationScope:
     """
 
     build_type: str
-    names: Names
+    plugin: BuildType
+    distro: str
     enclaves: Mapping[str, Enclave]
     namings: Mapping[str, Naming]
     domains: Mapping[str, int]
     select: Callable[[Enclave, Edge], Sequence[Edge]] | None = None
+
+    def has_name(self, object_: Object) -> bool:
+        """Tell whether an object has a name on the transports; these are not asked about others."""
+        return has_name(self.plugin, self.distro, object_)
 
     def about(self, subjects: Iterable[str]) -> VerificationScope:
         """Return the scope of some of the subjects."""
@@ -163,7 +158,8 @@ def _scope(
     where = session.package_marker(next(iter(built.values())).name)
     return VerificationScope(
         name,
-        Names(session.plugins.build_type(name, where), session.profile.distro),
+        session.plugins.build_type(name, where),
+        session.profile.distro,
         {subject: enclaves[subject] for subject in built},
         {subject: naming for subject, naming in namings.items() if naming},
         {subject: package.grant.domains[0].first for subject, package in built.items() if package.grant.domains},
@@ -221,13 +217,13 @@ def subjects_of_graph(graph: Graph, known: Collection[str], *, only: bool) -> Gr
 def edges_of_graph(graph: Graph, scope: VerificationScope) -> tuple[tuple[str, ...], EdgeRows]:
     """Return the subjects of a graph in a scope, and a function that yields all possible edges of them."""
     kept = tuple(subject for subject in graph.subjects if subject in scope.enclaves)
-    requests = column(replace(graph, edges=tuple(edge for edge in graph.edges if scope.names.has(edge.object))))
+    requests = column(replace(graph, edges=tuple(edge for edge in graph.edges if scope.has_name(edge.object))))
     return kept, lambda: (EdgeRow(subject, requests) for subject in kept)
 
 
 def common_objects(policy: LoadedPolicy, scope: VerificationScope) -> tuple[Object, ...]:
     """Return the objects of the policy that every subject of a scope is asked about."""
-    type_ = scope.names.build_type
+    type_ = scope.plugin
     enclave = next(iter(scope.enclaves.values()), None)
     installed_names = type_.installed_names(enclave) if enclave else ()
     return probes.common_objects(_rules(policy, scope), installed_names)
@@ -263,7 +259,7 @@ def edges_of_policy(policy: LoadedPolicy, scope: VerificationScope, common: Sequ
         return naming.endpoints(edge) if naming else ()
 
     def rows() -> Iterator[EdgeRow]:
-        edges = probes.edges(rules, common, scope.domains, scope.names.has, mentioned, needed)
+        edges = probes.edges(rules, common, scope.domains, scope.has_name, mentioned, needed)
         for subject, group in groupby(edges, key=attrgetter("subject")):
             yield EdgeRow(subject, Column(tuple(group)))
 

@@ -7,7 +7,7 @@ Models of transports are asked in parts on a pool if that is worth it: each part
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import astuple, field, replace
+from dataclasses import astuple, replace
 from itertools import chain
 
 from comarmor.values import dataclass
@@ -15,7 +15,7 @@ from keymint.api import Enclave, LoadedPolicy, PolicyDecision, Tier, Transport
 from keymint.api.graph import ConfusionMatrix, Edge, Graph, Object
 from keymint.api.plugin_loader import Plugins
 from keymint.executors import Pool
-from keymint.verify.compare import Asked, Asking, compare, compare_endpoints, with_halves
+from keymint.verify.compare import Asking, TransportComparison
 from keymint.verify.copies import Copies, local_copies
 from keymint.verify.endpoint_policy import EdgeRows, EndpointPolicy, label
 from keymint.verify.explain import Explainer
@@ -42,9 +42,9 @@ class Verification:
 
     build_type: str
     subjects: tuple[str, ...]
-    rows: EdgeRows = field(repr=False)
-    labels: bytearray = field(repr=False)
-    decide: Callable[[Edge], PolicyDecision] = field(repr=False)
+    rows: EdgeRows
+    labels: bytearray
+    decide: Callable[[Edge], PolicyDecision]
     comparisons: tuple[EdgeComparison, ...]
 
     def edges(self) -> Iterator[Edge]:
@@ -102,11 +102,14 @@ class VerificationPart:
         alone = asking.tier is not Tier.EXCHANGE and scope.namings.keys() >= set(subjects)
 
         def compared(name: str, transport: Transport) -> EdgeComparison:
-            asked = Asked(name, transport, self.enclaves(), explain, asking)
+            comparison = TransportComparison(name, transport, self.enclaves(), explain, asking)
             if alone and transport.ADMITS:
-                return compare_endpoints(asked, rows(), labels, policy)
-            outcome = compare(asked, chain.from_iterable(rows()), labels)
-            return with_halves(asked, outcome, rows(), labels, policy) if scope.select is None else outcome
+                comparison.all_endpoints(rows(), labels, policy)
+            else:
+                comparison.edges(chain.from_iterable(rows()), labels)
+                if scope.select is None:
+                    comparison.halves(rows(), labels, policy)
+            return comparison.result()
 
         comparisons = tuple(compared(name, transport) for name, transport in transports.items())
         return Verification(scope.build_type, subjects, rows, labels, policy.decide, comparisons)

@@ -33,7 +33,7 @@ from keymint.verify.copies import enclave_copies
 from keymint.verify.endpoint_policy import RAW, EndpointPolicy, Naming
 from keymint.verify.explain import Explainer
 from keymint.verify.mismatch import Mismatch
-from keymint.verify.scope import Names, naming_of
+from keymint.verify.scope import has_name, naming_of
 from keymint.workspace.installed_enclaves import enclave_names
 from keymint.workspace.session import Session
 from keymint.workspace.workspace import packages
@@ -211,7 +211,7 @@ def _views(session: Session, policy: LoadedPolicy, package: Package | None, edge
     for name in package.build_types if package else session.profile.build_types:
         where = session.package_marker(package.name) if package else session.profile_marker()
         build_type = session.plugins.build_type(name, where)
-        if not Names(build_type, session.profile.distro).has(edge.object):
+        if not has_name(build_type, session.profile.distro, edge.object):
             continue
         naming = naming_of(session, package, name) if package else None
         endpoint_policy = EndpointPolicy(policy, {edge.subject: naming} if naming else {})

@@ -171,7 +171,7 @@ def _unasked(
                 help_ = "'keymint transports' shows how to install one"
                 yield Diagnostic.warning("transport-none", message, None, help_)
             continue
-        edges = [edge for edge in system.edges if not scope.names.has(edge.object)] if system else ()
+        edges = [edge for edge in system.edges if not scope.has_name(edge.object)] if system else ()
         if edges:
             message = f"{counted(len(edges), 'edge')} of the graph not asked of {enumeration(tuple(groups[name]))}"
             first = edges[0].object

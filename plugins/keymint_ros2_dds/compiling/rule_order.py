@@ -28,7 +28,7 @@ from comarmor.patterns.relations import TooComplexError, all_disjoint, disjoint,
 from comarmor.rules import Effect
 from comarmor.values import dataclass
 from keymint.ir import Rule
-from keymint.keymake.order import Arrangement, EarlyRules, arrange, early_rules
+from keymint.keymake.order import Arrangement, arrange, early_rules
 from keymint_ros2_dds.compiling.partitions import Step, UnportableError, decision_list, touches, uniform
 from keymint_ros2_dds.lowering.lowered_rules import DEFAULT, EVERY, GrantRule, Lowered, Partitions, with_leading_allow
 from keymint_ros2_dds.lowering.name_mapping import TopicAction
@@ -180,7 +180,7 @@ def _joinable(rules: Sequence[GrantRule[Glob]], rule: GrantRule[Glob], *, across
 
 _ORDER = "portability-order"
 _Groups = Mapping[TopicAction, Sequence[RuleGroup]]
-_Early = tuple[TopicAction, RuleGroup, EarlyRules]
+_Early = tuple[TopicAction, RuleGroup, Arrangement]
 
 
 def portable_rules(lowered: Lowered, *, reduced: bool = True) -> tuple[GrantRule[Glob], ...]:
@@ -225,7 +225,7 @@ def _both_directions(groups: _Groups) -> list[GrantRule[Glob]]:
         if not known.keys() >= set(early_actions):
             continue
         early = [item for action in early_actions for item in known[action]]
-        if order or not any(rules.dirty for _, _, rules in early):
+        if order or not any(rules.rest for _, _, rules in early):
             turns: list[_Groups] = [{action: groups[action]} for action in order]
             turns = turns or [groups]
             rest = [rule for turn in turns for rule in merged_rules(_denials_first(turn))]
@@ -287,12 +287,12 @@ def _clash(denied: Iterable[Glob], action: TopicAction, group: RuleGroup, earlie
 
 def _first(free: Iterable[GrantRule[Glob]], early: Iterable[_Early]) -> list[GrantRule[Glob]]:
     """Return the rules that no denial overlaps, and those that must precede the denials of the other direction."""
-    clean = (GrantRule(Effect.ALLOW, group.partitions, {action: e.clean}) for action, group, e in early if e.clean)
+    clean = (GrantRule(Effect.ALLOW, group.partitions, {action: e.free}) for action, group, e in early if e.free)
     result = merged_rules([*free, *clean])
     for action, group, each in early:
-        if each.dirty:
+        if each.rest:
             result.append(GrantRule(Effect.DENY, denied_partitions(group.partitions), {action: each.deny}))
-            result.append(GrantRule(Effect.ALLOW, group.partitions, {action: each.dirty}))
+            result.append(GrantRule(Effect.ALLOW, group.partitions, {action: each.rest}))
     return result
 
 

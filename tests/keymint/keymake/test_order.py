@@ -42,8 +42,8 @@ def test_what_must_be_mentioned_first(allow, deny, other):
     order = arrange(allow, deny)
     rescue = early_rules(other, order)
     for word in WORDS:
-        early = anyone(order.free, word) or anyone(rescue.clean, word)
-        late = not anyone(rescue.deny, word) and anyone(rescue.dirty, word)
+        early = anyone(order.free, word) or anyone(rescue.free, word)
+        late = not anyone(rescue.deny, word) and anyone(rescue.rest, word)
         if anyone(other, word) and permitted(order, word):
             assert early or late
         if early or late:

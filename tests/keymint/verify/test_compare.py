@@ -16,8 +16,8 @@ from comarmor.errors import Origin, Reason
 from keymint.api import Availability, Enclave, PolicyDecision, Tier, Verdict
 from keymint.api.graph import ConfusionMatrix, Edge, Graph, Object, complete
 from keymint.errors import KeymintError
-from keymint.verify.compare import ENCLAVE_REFUSED, Asked, Asking, compare, label_enclave
-from keymint.verify.mismatch import Mismatch
+from keymint.verify.compare import ENCLAVE_REFUSED, Asking, TransportComparison, label_enclave
+from keymint.verify.mismatch import EdgeComparison, Mismatch
 
 ENCLAVES = {name: Enclave(name, Path("/nowhere") / name[1:], "humble", Path("/nowhere")) for name in ("/a", "/b", "/c")}
 
@@ -63,8 +63,14 @@ def explain(name: str, enclave: Enclave, wrong: list[tuple[Edge, Verdict]]) -> l
     ]
 
 
-def asked(transport: Transport, tier: Tier, limit: int) -> Asked:
-    return Asked("fake", transport, ENCLAVES, explain, Asking(tier, limit, lambda _name, _subject: None))
+def compare(
+    transport: Transport, edges: Iterable[Edge], labels: Iterable[int], tier: Tier, limit: int
+) -> EdgeComparison:
+    comparison = TransportComparison(
+        "fake", transport, ENCLAVES, explain, Asking(tier, limit, lambda _name, _subject: None)
+    )
+    comparison.edges(edges, labels)
+    return comparison.result()
 
 
 def graph(objects: int = 3) -> list[Edge]:
@@ -76,7 +82,7 @@ EDGES = graph()
 
 
 def held(transport: Transport, said: Sequence[int], tier: Tier = Tier.DECISION, limit: int = 1000):
-    return compare(asked(transport, tier, limit), iter(EDGES), said)
+    return compare(transport, iter(EDGES), said, tier, limit)
 
 
 @given(
@@ -129,7 +135,7 @@ def test_memory_does_not_grow_with_the_edges() -> None:
         Edge(subject, "ros_publish", Object("ros_topic", f"/t{n}")) for subject in ENCLAVES for n in range(objects)
     )
     tracemalloc.start()
-    compare(asked(Transport(), Tier.DECISION, 10), edges, bytes(3 * objects))
+    compare(Transport(), edges, bytes(3 * objects), Tier.DECISION, 10)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 1_000_000
@@ -168,7 +174,7 @@ def test_a_partial_permission_is_a_mismatch_whatever_the_policy_says(label: int)
         def _decided(self, edge: Edge) -> tuple[Edge, Verdict]:
             return edge, Verdict(False, "in part", partial=True)
 
-    outcome = compare(asked(Partial(), Tier.DECISION, 9), [edge], [label])
+    outcome = compare(Partial(), [edge], [label], Tier.DECISION, 9)
     assert outcome.confusion == ConfusionMatrix(false_negative=label, false_positive=1 - label)
     [finding] = outcome.findings
     assert finding.verdict.allowed != bool(label)

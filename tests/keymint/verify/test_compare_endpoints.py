@@ -18,7 +18,7 @@ from comarmor.errors import Origin, Reason
 from keymint.api import Availability, Enclave, PolicyDecision, PolicySource, Tier, Verdict
 from keymint.api.graph import Column, Edge, Object
 from keymint.errors import KeymintError
-from keymint.verify.compare import ENCLAVE_REFUSED, Asked, Asking, compare, compare_endpoints, with_halves
+from keymint.verify.compare import ENCLAVE_REFUSED, Asking, TransportComparison
 from keymint.verify.endpoint_policy import EdgeRow, EndpointPolicy, Naming, label
 from keymint.verify.mismatch import EdgeComparison, Mismatch
 
@@ -88,12 +88,12 @@ def judge(tmp_path_factory: pytest.TempPathFactory) -> EndpointPolicy:
 def both(judge: EndpointPolicy, transport: Transport, rows: Sequence[EdgeRow], limit: int) -> list[EdgeComparison]:
     labels = label(judge, rows)
     asking = Asking(Tier.DECISION, limit, lambda _name, _subject: None)
-    asked = Asked("fake", transport, ENCLAVES, explain, asking)
-    outcome = compare(asked, chain.from_iterable(rows), labels)
-    slow = with_halves(asked, outcome, rows, labels, judge)
+    slow, fast = (TransportComparison("fake", transport, ENCLAVES, explain, asking) for _ in range(2))
+    slow.edges(chain.from_iterable(rows), labels)
+    slow.halves(rows, labels, judge)
     transport.asked.clear()
-    fast = compare_endpoints(asked, rows, labels, judge)
-    return [slow, fast]
+    fast.all_endpoints(rows, labels, judge)
+    return [slow.result(), fast.result()]
 
 
 @given(

@@ -14,7 +14,7 @@ from keymint_ros2_dds import build_type
 from comarmor.errors import Origin
 from keymint.api import Availability, Enclave, PolicySource, Tier, Verdict
 from keymint.api.graph import Column, ConfusionMatrix, Edge, EdgeOutcome, Object
-from keymint.verify.compare import Asked, Asking, with_halves
+from keymint.verify.compare import Asking, TransportComparison
 from keymint.verify.endpoint_policy import EdgeRow, EndpointPolicy, Naming
 from keymint.verify.mismatch import EdgeComparison, Mismatch
 
@@ -62,13 +62,9 @@ def compared(judge: EndpointPolicy, allowed: set[str], edges: Sequence[Edge], li
 
     asking = Asking(Tier.DECISION, limit, lambda _name, _subject: None)
     enclaves = {"/s": Enclave("/s", Path("/nowhere/s"), "humble", Path("/nowhere"))}
-    return with_halves(
-        Asked("fake", Transport(frozenset(allowed)), enclaves, explain, asking),
-        EdgeComparison("fake", "1", Tier.DECISION, ConfusionMatrix(true_negative=len(edges)), (), {}),
-        [EdgeRow("/s", Column(tuple(edges)))],
-        bytes(judge.decide(edge).allowed for edge in edges),
-        judge,
-    )
+    comparison = TransportComparison("fake", Transport(frozenset(allowed)), enclaves, explain, asking)
+    comparison.halves([EdgeRow("/s", Column(tuple(edges)))], bytes(judge.decide(edge).allowed for edge in edges), judge)
+    return comparison.result()
 
 
 def names(comparison: EdgeComparison) -> list[str]:
@@ -79,7 +75,7 @@ def test_one_endpoint_of_a_denied_service_is_a_false_positive(judge: EndpointPol
     comparison = compared(judge, {"rq/deniedRequest"}, [call("/denied"), call("/other")])
     assert names(comparison) == ["rq/deniedRequest"]
     assert comparison.findings[0].error is EdgeOutcome.FALSE_POSITIVE
-    assert comparison.confusion == ConfusionMatrix(false_positive=1, true_negative=2)
+    assert comparison.confusion == ConfusionMatrix(false_positive=1)
     assert comparison.wrong == {"/s": 1}
 
 
