@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The plugin interface: protocols that plugins implement, and the data types that they exchange with Keymint.
+"""The plugin interface: base classes of plugins, and the data types that they exchange with Keymint.
 
-A plugin is an object with an attribute ``API = "2.0"`` that is registered under one of the entry-point groups
-below. Plugins are pure: their methods take and return bytes and data types. They never write files and never read the
-clock or the environment. They read only files that a method's arguments name.
+A plugin is an object of a class below, with an attribute ``API = "3.0"``, that is registered under an entry-point
+group. What it need not do has a default. Plugins are pure: their methods take and return bytes and data types. They
+never write files and never read the clock or the environment. They read only files that a method's arguments name.
 
 ===========================  ======================================================
-group                        protocol
+group                        class
 ===========================  ======================================================
 ``keymint.profile_types``    :class:`ProfileType`
 ``keymint.package_types``    :class:`PackageType`
@@ -111,5 +111,5 @@ from keymint.api.transports import Transport as Transport
 from keymint.api.transports import TransportType as TransportType
 from keymint.api.transports import Verdict as Verdict
 
-API_VERSION = "2.0"
+API_VERSION = "3.0"
 """Version of the plugin interface; docs/migrating-plugins.md says what changed from one major version to the next."""

@@ -34,15 +34,16 @@ from keymint.api import (
 from keymint.errors import ExitCode, KeymintError
 
 _OURS = "keymint-tools"
-GROUPS: Mapping[str, str] = {
-    "keymint.profile_types": "bootstraps and loads a workspace profile",
-    "keymint.package_types": "creates and loads a source package",
-    "keymint.policy_types": "acquires policy: sources to the intermediate representation",
-    "keymint.build_types": "builds, signs and checks a transport's documents",
-    "keymint.transports": "tells what a transport decides about installed enclaves",
-    "keymint.graph_sources": "finds graphs: in a running system, and in captures of one",
-    "keymint.policy_formats": "writes policies in a format that other tools read",
+GROUPS: Mapping[str, type] = {
+    "keymint.profile_types": ProfileType,
+    "keymint.package_types": PackageType,
+    "keymint.policy_types": PolicyType,
+    "keymint.build_types": BuildType,
+    "keymint.transports": TransportType,
+    "keymint.graph_sources": GraphSource,
+    "keymint.policy_formats": PolicyFormat,
 }
+"""The entry-point groups, each with the class that its plugins are of."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,8 +269,8 @@ class Plugins:
             where: the place that names it, for the message.
 
         Raises:
-            KeymintError: no plugin has this name, two distributions provide it, it fails to load, or it needs another
-                major version of the plugin interface.
+            KeymintError: no plugin has this name, two distributions provide it, it fails to load, or it is of
+                another major version of the plugin interface, or of another class.
         """
         key = (group, name)
         if key not in self._loaded:
@@ -321,11 +322,15 @@ class Plugins:
                 help=f"reinstall {_source(entry)}",
                 code="plugin-broken",
             ) from error
-        version = getattr(plugin, "API", None)
+        version, base = getattr(plugin, "API", None), GROUPS[group]
+        defect = ""
         if not isinstance(version, str) or _major(version) != _major(API_VERSION):
+            defect = f"implements version {version!r} of the plugin interface, this Keymint needs {API_VERSION!r}"
+        elif not isinstance(plugin, base):
+            defect = f"is no {base.__name__} of keymint.api"
+        if defect:
             raise KeymintError(
-                f"the {kind} {name!r} ({entry.target}) implements version {version!r} of the plugin interface, "
-                f"this Keymint needs {API_VERSION!r}",
+                f"the {kind} {name!r} ({entry.target}) {defect}",
                 where=where,
                 help=f"install a version of {entry.distribution or 'it'} for this Keymint, "
                 "or change its code as docs/migrating-plugins.md says",

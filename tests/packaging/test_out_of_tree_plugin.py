@@ -176,7 +176,7 @@ BROKEN = {
         "class Type:\n    API = '1.0'\nbuild_type = Type()\n",
         (
             "the build type 'broken' (broken_plugin:build_type) implements version '1.0' of the plugin interface, "
-            "this Keymint needs '2.0'"
+            "this Keymint needs '3.0'"
         ),
         "install a version of broken-plugin for this Keymint, or change its code as docs/migrating-plugins.md says",
     ),

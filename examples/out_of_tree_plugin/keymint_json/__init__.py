@@ -46,7 +46,7 @@ FILES = (SIGNED, CERTIFICATE, KEY, IDENTITY_CA, PERMISSIONS_CA)
 class JsonBuildType(BuildType):
     """Builds, signs and checks the rules of a package as JSON."""
 
-    API = "2.0"
+    API = "3.0"
     TRANSPORT = "json"
     LAYOUTS: Mapping[str, Layout] = {"sros2": Layout("enclaves"), "flat": Layout("")}
     READS: tuple[str, ...] = (".pem", ".p7s")

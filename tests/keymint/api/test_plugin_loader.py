@@ -4,22 +4,38 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
+from typing import Any
 
 import pytest
 
 from comarmor.errors import Origin
-from keymint.api import API_VERSION
+from keymint.api import API_VERSION, BuildOptions, BuildResult, ExportedPolicy, Package, PolicyFormat
 from keymint.api.plugin_loader import GROUPS, PluginInfo, Plugins, entries_of
 from keymint.errors import KeymintError
+from keymint.ir import SubjectRules
+from tests.keymint.plain_build_type import PlainBuildType
 
 GROUP = "keymint.build_types"
 
 
-class Plugin:
-    def __init__(self, version: object) -> None:
+class Plugin(PlainBuildType):
+    TRANSPORT = DOCUMENT = "none"
+
+    def __init__(self, version: Any) -> None:
         self.API = version
+
+    def build(self, package: Package, options: BuildOptions) -> BuildResult:
+        raise NotImplementedError
+
+
+class PolicyPlugin(PolicyFormat):
+    API = API_VERSION
+
+    def exported(self, subjects: Sequence[SubjectRules], *, lossy: bool = False) -> ExportedPolicy:
+        raise NotImplementedError
 
 
 def distribution(folder: Path, name: str, plugins: dict[str, str], *, group: str = GROUP) -> list[PluginInfo]:
@@ -41,6 +57,8 @@ def module(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
         future=Plugin(f"{int(API_VERSION.split('.', maxsplit=1)[0]) + 1}.0"),
         silent=object(),
         number=Plugin(1.0),
+        alien=SimpleNamespace(API=API_VERSION),
+        exported=PolicyPlugin(),
     )
     monkeypatch.setitem(sys.modules, made.__name__, made)
     return made
@@ -77,6 +95,13 @@ def test_another_major_version_or_none_is_refused(tmp_path: Path, module: Module
     assert "dist" in message
 
 
+def test_an_object_of_another_class_is_refused(tmp_path: Path, module: ModuleType) -> None:
+    plugins = Plugins(distribution(tmp_path, "dist", {"mine": f"{module.__name__}:alien"}))
+    code, message = refused(plugins, "mine")
+    assert code == "plugin-version"
+    assert "'mine' (plugins_of_this_test:alien) is no BuildType of keymint.api" in message
+
+
 def test_an_unknown_name_is_refused_with_the_nearest_one(tmp_path: Path, module: ModuleType) -> None:
     plugins = Plugins(distribution(tmp_path, "dist", {"keymint_ros2_dds": f"{module.__name__}:good"}))
     code, message = refused(plugins, "keymint_ros_dds", Origin("src/a/keymint_package.xml", 7))
@@ -87,9 +112,9 @@ def test_an_unknown_name_is_refused_with_the_nearest_one(tmp_path: Path, module:
 
 
 def test_a_name_is_looked_up_in_its_own_group_only(tmp_path: Path, module: ModuleType) -> None:
-    target = f"{module.__name__}:good"
-    plugins = Plugins(distribution(tmp_path, "dist", {"mine": target}, group="keymint.policy_types"))
-    assert plugins.policy_type("mine") is module.good
+    target = f"{module.__name__}:exported"
+    plugins = Plugins(distribution(tmp_path, "dist", {"mine": target}, group="keymint.policy_formats"))
+    assert plugins.policy_format("mine") is module.exported
     assert refused(plugins, "mine")[0] == "plugin-unknown"
 
 

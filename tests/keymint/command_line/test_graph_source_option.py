@@ -5,14 +5,13 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from keymint_ros2_dds.discovery import DdsGraphs
 
-from keymint.api import API_VERSION
 from keymint.api.plugin_loader import PluginInfo, Plugins
 from keymint.command_line.graph_source_option import graph_source
 from keymint.errors import ExitCode, KeymintError
 
-ONE = SimpleNamespace(API=API_VERSION)
-OTHER = SimpleNamespace(API=API_VERSION)
+ONE, OTHER = DdsGraphs(), DdsGraphs()
 
 
 def run_with(*names: str) -> Any:
