@@ -191,7 +191,7 @@ class Client:
     def _finished(self) -> tuple[str, ...]:
         """Return the packages that the latest run changed in place of one that was interrupted."""
         before = self._latest.interrupted
-        return before.intent.packages if before and before.finished else ()
+        return before.packages if before and before.finished else ()
 
     def _enclave(self, report: Report, name: str) -> Enclave:
         steps = [step for step in report.steps if step.package == name and step.stage == "install"]

@@ -11,27 +11,11 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-from comarmor.values import dataclass
 from keymint.errors import KeymintError
 
 _SECONDS = 120
 GIT_MISSING = "git-missing"
 """Diagnostic code if git cannot be run."""
-
-
-@dataclass(frozen=True, slots=True)
-class Revision:
-    """A path at a revision.
-
-    Attributes:
-        name: name of the revision, as the user typed it.
-        path: the path in the extracted tree.
-        root: folder of the extracted tree.
-    """
-
-    name: str
-    path: Path
-    root: Path
 
 
 def is_revision(text: str, folder: Path) -> bool:
@@ -40,13 +24,16 @@ def is_revision(text: str, folder: Path) -> bool:
 
 
 @contextmanager
-def at_revision(text: str, folder: Path, environment: Mapping[str, str]) -> Iterator[Revision]:
+def at_revision(text: str, folder: Path, environment: Mapping[str, str]) -> Iterator[tuple[str, Path, Path]]:
     """Extract a path of a revision to a temporary folder that is removed afterwards.
 
     Args:
         text: ``REV:path``; as in git, the path is relative to the repository, or with ``./`` to the folder.
         folder: a folder of the repository.
         environment: environment variables for git.
+
+    Returns:
+        A context with the name of the revision, the path in the extracted tree, and the folder of that tree.
 
     Raises:
         KeymintError: there is no git, no repository, no such revision, or no such path at it.
@@ -73,7 +60,7 @@ def at_revision(text: str, folder: Path, environment: Mapping[str, str]) -> Iter
                 help="the path is relative to the repository; with ./ to the current folder",
                 code="revision",
             )
-        yield Revision(name, extracted, root)
+        yield name, extracted, root
 
 
 def run_git(arguments: tuple[str, ...], folder: Path, environment: Mapping[str, str], revision: str = "") -> bytes:

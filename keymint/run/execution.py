@@ -17,7 +17,7 @@ from keymint.output.console import Console
 from keymint.output.report import Report
 from keymint.run.workers import Workers
 from keymint.store.changes import Action, File, FolderChange, Plan, Step
-from keymint.store.journal import Intent
+from keymint.store.journal import Journal
 from keymint.store.staged import Exchange
 from keymint.store.store import Store, clock
 from keymint.view.folder_status import Sight
@@ -46,7 +46,7 @@ def execute(
     before: State,
     workers: Workers,
     on_step: Callable[[Step], None],
-    intent: Intent,
+    intent: Journal,
 ) -> int:
     """Carry out a plan.
 

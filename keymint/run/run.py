@@ -30,7 +30,7 @@ from keymint.run.execution import RECORD, execute, open_store, remember, require
 from keymint.run.workers import Workers
 from keymint.stages.work import Crew
 from keymint.store.changes import File, Plan, Step
-from keymint.store.journal import Intent, Journal, intent_of
+from keymint.store.journal import Journal, intent_of
 from keymint.store.store import LOCK, clock, folder_lock, read_lock
 from keymint.view.folder_status import Sight
 from keymint.view.recorded_answers import Call
@@ -259,7 +259,7 @@ class Run:
 
     # -- what was interrupted ------------------------------------------------------------------------------------
 
-    def intent(self) -> Intent:
+    def intent(self) -> Journal:
         """Return what this run was asked for: the same for the same command with the same files."""
         call = self.setting.call
         return intent_of(call.arguments, Path(call.cwd))
@@ -268,7 +268,7 @@ class Run:
     def resumes(self) -> bool:
         """Whether all is visible that an interrupted run of this command was asked for: it is not done once more."""
         before = self.interrupted
-        return before is not None and before.finished and before.intent.inputs == self.intent().inputs
+        return before is not None and before.finished and before.inputs == self.intent().inputs
 
     def recover(self, workspace: Workspace) -> None:
         """Finish what an interrupted run made visible in part, for verbs that decide something before they plan.

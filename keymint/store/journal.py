@@ -42,68 +42,35 @@ _MOST_FILES = 100_000
 
 
 @dataclass(frozen=True, slots=True)
-class Intent:
-    """What a run was asked for.
+class Journal:
+    """What a run was asked for, and how far it came if it did not come to its end.
 
     Attributes:
         command: the command as it was typed.
         inputs: digest of its arguments, and of the files that they name; the same for the same command only.
         packages: the packages that it changes.
+        exchanges: the names that it was about to change; empty if nothing was visible yet, or all of it is.
+        finished: all that it was asked for is visible.
     """
 
     command: str = ""
     inputs: str = ""
     packages: tuple[str, ...] = ()
-
-
-def intent_of(arguments: Sequence[str], folder: Path) -> Intent:
-    """Return the intent of a command.
-
-    Args:
-        arguments: those of the command line.
-        folder: the current directory.
-
-    """
-    words = ["keymint", *(word for word in arguments if word not in _SHOWN)]
-    parts = words[:2]
-    if not _NAMING_FILES.intersection(parts):
-        return Intent(shlex.join(words), digest(*words))
-    for before, word in itertools.pairwise(words[1:]):
-        path = folder / word.rpartition("=")[2]
-        is_input = not before.startswith(_OUTPUTS) and not word.startswith(_OUTPUTS) and path.exists()
-        parts += [str(path.resolve()), _digest(str(path)) or ""] if is_input else [word]
-        if is_input and not before.startswith("-") and path.is_dir():
-            parts += sorted(map(_fingerprint, itertools.islice(path.rglob("*"), _MOST_FILES)))
-    return Intent(shlex.join(words), digest(*parts))
-
-
-@dataclass(frozen=True, slots=True)
-class Journal:
-    """A run that did not come to its end.
-
-    Attributes:
-        intent: what it was asked for.
-        exchanges: the names that it was about to change; empty if nothing was visible yet, or all of it is.
-        finished: all that it was asked for is visible.
-    """
-
-    intent: Intent = Intent()
     exchanges: tuple[Exchange, ...] = ()
     finished: bool = False
 
-    def outcome(self, intent: Intent) -> Diagnostic | None:
+    def outcome(self, intent: Journal) -> Diagnostic | None:
         """Return what became of the run, for the next one; None if that does all of it by itself.
 
         Args:
             intent: that of the next run.
         """
-        command, packages = self.intent.command, self.intent.packages
         if self.finished:
-            message = f"'{command}' was interrupted; all that it was asked for is done now"
-            message += f": {subject_list(packages)}" if packages else ""
+            message = f"'{self.command}' was interrupted; all that it was asked for is done now"
+            message += f": {subject_list(self.packages)}" if self.packages else ""
             help_ = "deploy what it changed in the install space"
-        elif command and self.intent.inputs != intent.inputs:
-            message = f"'{command}' was interrupted before anything changed, and is dropped"
+        elif self.command and self.inputs != intent.inputs:
+            message = f"'{self.command}' was interrupted before anything changed, and is dropped"
             help_ = "give it again if it is still wanted"
         else:
             return None
@@ -116,8 +83,28 @@ class Journal:
              each.changed)
             for each in self.exchanges
         ]  # fmt: skip
-        intent = (self.intent.command, self.intent.inputs, self.intent.packages)
+        intent = (self.command, self.inputs, self.packages)
         return sealed_document({"version": VERSION, "intent": intent, "exchanges": rows, "finished": self.finished})
+
+
+def intent_of(arguments: Sequence[str], folder: Path) -> Journal:
+    """Return the journal of a command that did nothing yet.
+
+    Args:
+        arguments: those of the command line.
+        folder: the current directory.
+    """
+    words = ["keymint", *(word for word in arguments if word not in _SHOWN)]
+    parts = words[:2]
+    if not _NAMING_FILES.intersection(parts):
+        return Journal(shlex.join(words), digest(*words))
+    for before, word in itertools.pairwise(words[1:]):
+        path = folder / word.rpartition("=")[2]
+        is_input = not before.startswith(_OUTPUTS) and not word.startswith(_OUTPUTS) and path.exists()
+        parts += [str(path.resolve()), _digest(str(path)) or ""] if is_input else [word]
+        if is_input and not before.startswith("-") and path.is_dir():
+            parts += sorted(map(_fingerprint, itertools.islice(path.rglob("*"), _MOST_FILES)))
+    return Journal(shlex.join(words), digest(*parts))
 
 
 def _fingerprint(path: Path) -> str:
@@ -138,7 +125,8 @@ def load(content: bytes, records: Path) -> Journal:
     try:
         command, inputs, packages = document["intent"]
         exchanges = tuple(_exchange(records, *row) for row in document["exchanges"])
-        return Journal(Intent(str(command), str(inputs), tuple(map(str, packages))), exchanges, document["finished"])
+        names = tuple(map(str, packages))
+        return Journal(str(command), str(inputs), names, exchanges, document["finished"])
     except (ValueError, KeyError, TypeError, KeymintError):
         return Journal()
 

@@ -30,7 +30,7 @@ from keymint.store import journal
 from keymint.store.changes import File, FolderChange
 from keymint.store.file_writing import is_temporary, reported
 from keymint.store.group_commit import commit
-from keymint.store.journal import Intent, Journal
+from keymint.store.journal import Journal
 from keymint.store.open_folders import OpenFolders, Roots
 from keymint.store.staged import Exchange, Staging, remove_staged
 from keymint.view.stamps import MAX_RECORD
@@ -202,10 +202,10 @@ class Store:
         self.missing = ()
         return written
 
-    def begin(self, intent: Intent) -> None:
+    def begin(self, intent: Journal) -> None:
         """Record what a run was asked for, before its first effect; from now on, what it commits is all or nothing."""
-        self._journal = Journal(intent)
-        self._record(self._journal)
+        self._journal = intent
+        self._record(intent)
 
     def end(self) -> None:
         """Forget the intent of a run that is finished; nothing is written after it."""

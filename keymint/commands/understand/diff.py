@@ -82,6 +82,6 @@ def _loaded(run: Run, policies: Policies, text: str, stack: ExitStack) -> Loaded
     """Return the policy that an argument names; the files of a revision are shown as ``REV:PATH``."""
     if not is_revision(text, run.setting.cwd):
         return policies.load(Path(text))
-    revision = stack.enter_context(at_revision(text, run.setting.cwd, run.setting.environment))
-    run.folder_names[f"{revision.root}/"] = f"{revision.name}:"
-    return policies.load(revision.path, as_accepted=True)
+    name, path, root = stack.enter_context(at_revision(text, run.setting.cwd, run.setting.environment))
+    run.folder_names[f"{root}/"] = f"{name}:"
+    return policies.load(path, as_accepted=True)

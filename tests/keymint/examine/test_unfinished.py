@@ -6,14 +6,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from keymint.store.journal import MARK, Intent, Journal, intent_of
+from keymint.store.journal import MARK, Journal, intent_of
 from keymint.store.staged import Exchange
 
 
 def test_a_run_that_may_be_visible_in_part_is_a_finding(keymint: Callable, provisioned: Path) -> None:
     records = provisioned / ".keymint"
     exchange = Exchange(0, str(provisioned / "public"), "gone", None, file=True)
-    (records / MARK).write_bytes(Journal(Intent("keymint renew"), (exchange,)).dump(records))
+    (records / MARK).write_bytes(Journal("keymint renew", exchanges=(exchange,)).dump(records))
     for verb in ("check", "prove"):
         outcome = keymint(verb, "--json", cwd=provisioned)
         assert (outcome.code, "run-unfinished" in outcome.codes()) == (3, True)
@@ -23,7 +23,7 @@ def test_a_run_that_may_be_visible_in_part_is_a_finding(keymint: Callable, provi
 
 def test_a_run_that_changed_nothing_yet_is_none(keymint: Callable, provisioned: Path) -> None:
     records = provisioned / ".keymint"
-    (records / MARK).write_bytes(Journal(Intent("keymint renew")).dump(records))
+    (records / MARK).write_bytes(Journal("keymint renew").dump(records))
     assert keymint("check", cwd=provisioned).code == 0
 
 

@@ -34,9 +34,9 @@ def git(folder: Path, *arguments: str) -> None:
     ("text", "inside"), [("HEAD~1:d/f.xml", "."), ("HEAD~1:./f.xml", "d"), ("HEAD~1:d/f.xml", "d")]
 )
 def test_a_file_as_it_was(repository: Path, text: str, inside: str) -> None:
-    with at_revision(text, repository / inside, os.environ) as found:
-        assert found.path.read_text() == "old"
-    assert not found.root.exists()
+    with at_revision(text, repository / inside, os.environ) as (_, path, root):
+        assert path.read_text() == "old"
+    assert not root.exists()
 
 
 @pytest.mark.parametrize(

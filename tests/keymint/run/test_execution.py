@@ -13,7 +13,7 @@ from keymint.errors import KeymintError
 from keymint.run.execution import RECORD, execute, open_store
 from keymint.run.workers import Workers
 from keymint.store.changes import Action, File, FolderChange, Plan, Step
-from keymint.store.journal import Intent
+from keymint.store.journal import Journal
 from keymint.view.stamps import Stamp, State, load
 from keymint.workspace.workspace import Workspace
 
@@ -41,7 +41,7 @@ def run(plan: Plan, workspace: Workspace, *, before: State | None = None) -> lis
         before or State(),
         Workers(1, open_store),
         lambda finished: done.append(f"{finished.stage} {finished.package}"),
-        Intent("keymint build"),
+        Journal("keymint build"),
     )
     return done
 
@@ -60,7 +60,7 @@ def test_all_steps_are_carried_out_and_told_and_recorded(workspace: Workspace) -
     assert load((workspace.state / RECORD).read_bytes()) == plan.state
     journal = open_store(workspace).recover()
     assert journal is not None  # its caller forgets it after its last write
-    assert (journal.finished, journal.intent) == (True, Intent("keymint build", packages=tuple(names)))
+    assert journal == Journal("keymint build", packages=tuple(names), finished=True)
 
 
 def test_a_plan_without_changes_writes_not_one_file(workspace: Workspace) -> None:
@@ -96,7 +96,7 @@ def test_the_steps_become_visible_in_their_order_and_none_before_all_are_staged(
         guarded.mkdir(exist_ok=True)
         (guarded / ".gitignore").touch()
     store = open_store(workspace)
-    store.begin(Intent())
+    store.begin(Journal())
     monkeypatch.setattr(os, "rename", watched)
     store.change(change for name in names for change in step(workspace, name).changes)
     assert order == names

@@ -23,7 +23,7 @@ from hypothesis import strategies as st
 from keymint.errors import KeymintError
 from keymint.store import group_commit
 from keymint.store.changes import File, FolderChange
-from keymint.store.journal import Intent
+from keymint.store.journal import Journal
 from keymint.store.staged import Exchange
 from keymint.store.store import Store
 
@@ -181,7 +181,7 @@ def test_every_folder_is_wholly_old_or_wholly_new_and_a_kill_loses_nothing(
             if refused == errno.EXDEV:
                 watched.stuck = {(top / path).stat().st_ino for path in old}
             store = store_at(root)
-            store.begin(Intent())
+            store.begin(Journal())
             with contextlib.suppress(KilledError), watched.patched():
                 store.commit(store.stage(changes_of(top, edits)))
                 store.end()
@@ -436,7 +436,7 @@ def test_on_overlayfs_a_kill_loses_nothing(overlay: Path, at: int) -> None:
     store = store_at(overlay)
     old = visible(overlay / "install")
     new = {**old, "robot": {name: file.content for name, file in NEW.items()} | {"crl.pem": b"a user's"}}
-    store.begin(Intent())
+    store.begin(Journal())
     with contextlib.suppress(KilledError), Watched(at).patched():
         store.commit(store.stage([FolderChange(overlay / "install" / "robot", NEW)]))
     store_at(overlay).recover()
@@ -582,7 +582,7 @@ def test_a_kill_loses_nothing_of_what_processes_staged_inside_of_each_other(tmp_
         top = root / "install" / "enclaves"
         write_down(top, old)
         store = store_at(root)
-        store.begin(Intent())
+        store.begin(Journal())
         made = staged(store, top)
         watched = Watched(kill, refused=refused)
         with contextlib.suppress(KilledError), watched.patched():

@@ -11,7 +11,7 @@ import pytest
 
 from keymint.store import group_commit
 from keymint.store.changes import File, FolderChange
-from keymint.store.journal import Intent, Journal, intent_of
+from keymint.store.journal import Journal, intent_of
 from keymint.store.staged import Exchange
 from keymint.store.store import Store
 
@@ -57,7 +57,7 @@ def stopped(root: Path, monkeypatch: pytest.MonkeyPatch, at: int, *, again: bool
         if again:
             store.recover()
             return
-        store.begin(Intent("keymint build"))
+        store.begin(Journal("keymint build"))
         changes = (
             FolderChange(root / "src/b", {"z": File(b"new")}, ("gone", "too")),
             FolderChange(root / "src/a", {"x": File(b"new"), "y": File(b"new")}, ("gone",)),
@@ -71,7 +71,7 @@ def test_it_is_finished_or_dropped_as_a_whole(root: Path, monkeypatch: pytest.Mo
     stopped(root, monkeypatch, at)
     again = store_of(root)
     found = again.recover()
-    assert found == Journal(Intent("keymint build"), finished=at > 0)
+    assert found == Journal("keymint build", finished=at > 0)
     assert files_in(root / "src") == (NEW if at else OLD)
     assert not list(root.rglob(".keymint-*"))
     (root / "src/c").mkdir(exist_ok=True)
@@ -84,7 +84,7 @@ def test_it_is_finished_or_dropped_as_a_whole(root: Path, monkeypatch: pytest.Mo
 def test_a_run_that_finishes_it_may_be_stopped_as_well(root: Path, monkeypatch: pytest.MonkeyPatch, at: int) -> None:
     stopped(root, monkeypatch, 1)
     stopped(root, monkeypatch, at, again=True)
-    assert store_of(root).recover() == Journal(Intent("keymint build"), finished=True)
+    assert store_of(root).recover() == Journal("keymint build", finished=True)
     assert files_in(root / "src") == NEW
 
 
@@ -114,7 +114,7 @@ def test_what_was_staged_and_is_lost_is_dropped_with_the_rest(root: Path, monkey
         return made(folder, exchange)
 
     store, made = store_of(root), group_commit.make_visible
-    store.begin(Intent())
+    store.begin(Journal())
     new = FolderChange(root / "src/new", {"key": File(b"")}), FolderChange(root / "src/b", {"z": File(b"new")})
     staged = store.stage(new)
     monkeypatch.setattr(group_commit, "make_visible", stopping)
@@ -130,7 +130,7 @@ def test_what_was_staged_and_is_lost_is_dropped_with_the_rest(root: Path, monkey
     assert not found.finished
 
 
-@pytest.mark.parametrize("content", [b"", b"0123", b"\0" * 10, b"{}", Journal(Intent("x")).dump(Path())[:-9]])
+@pytest.mark.parametrize("content", [b"", b"0123", b"\0" * 10, b"{}", Journal("x").dump(Path())[:-9]])
 def test_a_journal_that_cannot_be_read_has_nothing_to_finish(root: Path, content: bytes) -> None:
     store_of(root).write(root / ".keymint", {"running": File(content)})
     assert store_of(root).recover() == Journal()
@@ -149,7 +149,7 @@ def test_nothing_outside_of_the_workspace_is_changed(root: Path, tmp_path: Path)
     ):
         records = tmp_path / "ws/.keymint"
         done = Exchange(0, str(records), "x", ".keymint-1-2.tmp", file=True)  # it looks as if it became visible
-        content = Journal(Intent(), (done, exchange)).dump(records)
+        content = Journal(exchanges=(done, exchange)).dump(records)
         store = Store({tmp_path / "ws": False}, records)
         store.write(records, {"running": File(content)})
         with contextlib.suppress(Exception):

@@ -21,7 +21,7 @@ import pytest
 from keymint.errors import KeymintError
 from keymint.store.changes import File, FolderChange
 from keymint.store.file_writing import MAX_COMPONENT
-from keymint.store.journal import Intent, Journal
+from keymint.store.journal import Journal
 from keymint.store.store import Store
 
 PUBLIC = File(b"public")
@@ -613,17 +613,17 @@ def test_the_lock_is_free_after_an_error(store: Store) -> None:
 
 def test_a_run_that_ends_well_takes_its_mark_back(root: Path, store: Store) -> None:
     assert not store.is_marked()
-    store.begin(Intent("keymint build"))
+    store.begin(Journal("keymint build"))
     assert store.is_marked()
     assert (root / ".keymint" / "running").stat().st_mode & 0o777 == 0o600
-    assert store.recover() == Journal(Intent("keymint build"))
+    assert store.recover() == Journal("keymint build")
     store.end()
     assert not store.is_marked()
     assert store.recover() is None
 
 
 def test_a_journal_that_cannot_be_read_has_nothing_to_finish(root: Path, store: Store) -> None:
-    for content in (b"", b"0123", b"\0" * 10, Journal(Intent("x")).dump(root)[:-9]):
+    for content in (b"", b"0123", b"\0" * 10, Journal("x").dump(root)[:-9]):
         store.write(root / ".keymint", {"running": File(content)})
         assert store.recover() == Journal()
 
@@ -643,7 +643,7 @@ def test_what_a_killed_run_left_behind_is_swept_away_and_nothing_else(root: Path
     store.write(root / "src", {"file": PUBLIC})
     for name in (".keymint-notes", "x.tmp", "keymint-1.tmp"):
         (root / name).write_bytes(b"a user's")
-    store.begin(Intent())
+    store.begin(Journal())
     before = listing(root)
     leave_behind(root)
     store.recover()
@@ -661,7 +661,7 @@ def test_without_a_mark_only_the_records_are_searched(root: Path, store: Store) 
 
 def test_a_sweep_follows_no_link(tmp_path: Path, root: Path, store: Store) -> None:
     leave_behind(tmp_path / "elsewhere")
-    store.begin(Intent())
+    store.begin(Journal())
     (root / "install").mkdir()
     (root / "install" / "link").symlink_to(tmp_path / "elsewhere")
     (root / "install" / ".keymint-1-1.tmp").mkdir()
@@ -676,6 +676,6 @@ def test_a_workspace_inside_a_folder_with_a_name_like_a_temporary_one_is_not_swe
     root = tmp_path / ".keymint-1-1.tmp" / "ws"
     store = Store({root: False}, root / ".keymint")
     store.write(root / "a", {"file": PUBLIC})
-    store.begin(Intent())
+    store.begin(Journal())
     store.recover()
     assert (root / "a" / "file").read_bytes() == b"public"
