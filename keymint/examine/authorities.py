@@ -31,10 +31,10 @@ from keymint.life.package_issuance import place_of
 from keymint.names import subject_of
 from keymint.pki import certificates, key_files, keys
 from keymint.stages.proof.trust_anchors import certificate_contradictions
-from keymint.workspace import gitignore
 from keymint.workspace.installed_enclaves import installed_certificate
 from keymint.workspace.session import Inputs, Session
 from keymint.workspace.stored_keys import key_defects
+from keymint.workspace.workspace import GITIGNORE
 
 
 def authorities(session: Session, within: timedelta) -> Iterator[Diagnostic]:
@@ -207,7 +207,7 @@ def _of_space(inputs: Inputs, space: Path) -> Iterator[Diagnostic]:
             message = f"whether git tracks private keys is unknown: {defect.message}"
             yield Diagnostic.note("git-unknown", message, inputs.workspace.origin(space))
         return
-    guard = inputs.workspace.shown(space / gitignore.NAME)
+    guard = inputs.workspace.shown(space / GITIGNORE)
     stop = f"write the line '*' into {guard}"
     replace = "replace it, since whoever has the repository has it"
     yield from _finding(
@@ -247,7 +247,7 @@ def _plain(environment: Mapping[str, str]) -> Mapping[str, str]:
 def _is_secret(inputs: Inputs, path: Path) -> bool:
     """Tell whether a file contains a private key; in the private space all files do."""
     if path.is_relative_to(inputs.workspace.private):
-        return path.name != gitignore.NAME
+        return path.name != GITIGNORE
     status = inputs.tree.status(path)
     try:
         return status is not None and status.st_size <= _MOST and key_files.has_any(inputs.tree.read(path) or b"")

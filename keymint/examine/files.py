@@ -28,11 +28,11 @@ from keymint.stages.proof.trust_anchors import shared_anchors
 from keymint.store.changes import file_mode
 from keymint.view.file_reading import FileStatus
 from keymint.view.stamps import Stamp, digest
-from keymint.workspace import gitignore
 from keymint.workspace.enclave_changes import EnclaveChanges, build_types_in_use, copies_of, shared_copies
 from keymint.workspace.installed_enclaves import INSTALLED, enclave_names, files_in
 from keymint.workspace.package_build_types import load_packages, record_key, shared_builder, users
 from keymint.workspace.session import Inputs, Session
+from keymint.workspace.workspace import GITIGNORE
 
 _GROUP, _OTHERS = stat.S_IWGRP, stat.S_IWOTH
 _PEM = ".pem"
@@ -273,7 +273,7 @@ def outside_enclaves(session: Session, within: timedelta) -> Iterator[Diagnostic
             yield from as_installed(session, path, digest(content), restores, _OTHER_COPY)
     for path in outside:
         relative = path.removeprefix(f"{workspace.install}/")
-        if path in own or path in targets or relative in known or relative in expected or relative == gitignore.NAME:
+        if path in own or path in targets or relative in known or relative in expected or relative == GITIGNORE:
             continue
         if relative in own_scripts:  # a workspace that was not installed since they exist has none
             is_ours = environment_scripts.is_ours(session.tree.try_read(path) or b"")

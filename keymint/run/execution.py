@@ -24,11 +24,10 @@ from keymint.view.folder_status import Sight
 from keymint.view.recorded_answers import Answer, Call, is_recordable, name_of, record
 from keymint.view.stamps import State
 from keymint.view.tree import Tree
-from keymint.workspace import gitignore
 from keymint.workspace.package_build_types import BUILD
 from keymint.workspace.policy_loading import recorded_files
 from keymint.workspace.session import Inputs, Session
-from keymint.workspace.workspace import Workspace
+from keymint.workspace.workspace import Workspace, missing_gitignores
 
 RECORD = "state.json"
 
@@ -65,7 +64,7 @@ def execute(
     Raises:
         KeymintError: the system refuses a write; no file is incomplete, and the next run finishes it, or drops it.
     """
-    guards = gitignore.missing_files(workspace, plan)
+    guards = missing_gitignores(workspace, plan)
     if not guards and not plan.writes() and plan.state == before:
         for step in plan.steps:
             on_step(step)

@@ -37,9 +37,8 @@ from keymint.view.recorded_answers import Call
 from keymint.view.stamps import MAX_RECORD, State
 from keymint.view.stamps import load as load_state
 from keymint.view.tree import HeldError, Tree, read_file
-from keymint.workspace import gitignore
 from keymint.workspace.session import Inputs, Session
-from keymint.workspace.workspace import Workspace, find, packages, shown_path
+from keymint.workspace.workspace import Workspace, find, missing_gitignores, packages, shown_path
 
 if TYPE_CHECKING:
     from keymint.executors import Pool
@@ -351,7 +350,7 @@ class Run:
                 planned = self._planned_again(workspace, make_plan)
             inputs, plan, sight = planned
             require_register(plan, workspace, inputs.tree)
-            guards = gitignore.missing_files(workspace, plan)
+            guards = missing_gitignores(workspace, plan)
             with self.console.progress(len(plan.steps), self.setting.monotonic) as advance:
                 visible = execute(plan, workspace, store, inputs.state, self.workers, advance, self.intent())
             names = [(str(each.folder), each.written, each.removed) for each in (*guards, *plan.changes())]

@@ -30,10 +30,10 @@ from keymint.stages import install
 from keymint.stages.pipeline import INSTALL, PROVE, Request, conduct
 from keymint.stages.work import Crew, InstallRequest, Work
 from keymint.store.changes import Action, File, FolderChange, Plan, Step, folder_changes
-from keymint.workspace.gitignore import NAME as GITIGNORE
 from keymint.workspace.installed_enclaves import with_sources
 from keymint.workspace.policy_loading import lazy_policy
 from keymint.workspace.session import Session
+from keymint.workspace.workspace import GITIGNORE
 
 STAGE = "install.next"
 DEFERRED = "second-keystore-deferred"

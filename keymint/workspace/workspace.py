@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import accumulate, permutations
@@ -16,6 +16,7 @@ from comarmor.values import dataclass
 from keymint import SPACES
 from keymint.errors import ExitCode, KeymintError
 from keymint.names import RESERVED, package_name
+from keymint.store.changes import File, FolderChange, Plan
 from keymint.view.tree import REGISTER, Tree
 
 PROFILE_MARKER = "keymint_profile.xml"
@@ -247,3 +248,34 @@ def profile_files(tree: Tree, profile: Path) -> dict[str, bytes]:
         for name, content in tree.files(profile, suffix=".xml", depth=2).items()
         if "/" not in name or name.split("/")[0].endswith(".defaults")
     }
+
+
+GITIGNORE = ".gitignore"
+"""The file at the top of spaces that git keeps out of."""
+_IGNORES_ALL = b"# Secrets, or files that Keymint can make again: none of them belongs into git.\n*\n"
+
+
+def missing_gitignores(workspace: Workspace, plan: Plan) -> Sequence[FolderChange]:
+    """Return the missing ``.gitignore`` files of the spaces that a plan writes to, or that exist.
+
+    They keep git out of spaces with secrets or generated files. Each such space has one at its top, wherever an option
+    puts the space. No enclave contains one, so none is copied to a robot.
+
+    An existing file belongs to the user and is kept. A space that is a link or read-only is skipped, unless the plan
+    writes to it anyway.
+    """
+    written = {str(change.folder) for change in plan.changes() if change.written}
+    if written:
+        written.add(str(workspace.state))  # has the record of what is written
+    spaces = (workspace.private, workspace.build, workspace.install, workspace.next_install, workspace.state)
+    kept = [space for space in spaces if space != workspace.next_install and _can_be_written(space)]
+    return [
+        FolderChange(space, {GITIGNORE: File(_IGNORES_ALL)}, private=space == workspace.private)
+        for space in spaces
+        if not os.path.lexists(space / GITIGNORE)
+        and (space in kept or any(f"{folder}/".startswith(f"{space}/") for folder in written))
+    ]
+
+
+def _can_be_written(space: Path) -> bool:
+    return space.is_dir() and not space.is_symlink() and os.access(space, os.W_OK)
