@@ -10,7 +10,6 @@ import stat
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import field
 from pathlib import Path
-from typing import Protocol
 
 from comarmor.errors import ComArmorError, Origin
 from comarmor.text import counted, did_you_mean, quoted
@@ -69,24 +68,6 @@ class ShippingPackage:
     hidden_by: str
 
 
-class PackageFolders(Protocol):
-    """Finds the folder of the profiles that a package ships."""
-
-    def folder(self, package: str, where: Origin) -> SandboxedFolder:
-        """Return the folder of a package.
-
-        Args:
-            package: a legal name of a package.
-            where: the place that includes a file of it.
-
-        Raises:
-            ComArmorError: there is no such package, or it ships no profiles, or its folder cannot be used.
-        """
-
-    def looked_at(self, package: str) -> tuple[Path, ...]:
-        """Return the paths that tell where a package is; while none of them changes, neither does the answer."""
-
-
 @dataclass(frozen=True, slots=True)
 class CopiedPackages:
     """Copies of files that packages ship.
@@ -99,14 +80,14 @@ class CopiedPackages:
     root: Path
     absent_is_empty: bool = False
 
-    def folder(self, package: str, where: Origin) -> SandboxedFolder:  # noqa: ARG002 - of the protocol
-        """See :class:`PackageFolders`."""
+    def folder(self, package: str, where: Origin) -> SandboxedFolder:  # noqa: ARG002 - see InstalledPackages
+        """Return the folder of the copies of a package."""
         place = self.root / package
         shown = f"{PACKAGE}{package}"
         return SandboxedFolder(place.resolve(), shown, package, place, absent_is_empty=self.absent_is_empty)
 
-    def looked_at(self, package: str) -> tuple[Path, ...]:  # noqa: ARG002 - of the protocol
-        """See :class:`PackageFolders`."""
+    def looked_at(self, package: str) -> tuple[Path, ...]:  # noqa: ARG002 - see InstalledPackages
+        """Return nothing: copies are where they are."""
         return ()
 
 
@@ -137,7 +118,15 @@ class InstalledPackages:
         return tuple(prefix for prefix in self.prefixes if not _is_absolute(prefix))
 
     def folder(self, package: str, where: Origin) -> SandboxedFolder:
-        """See :class:`PackageFolders`."""
+        """Return the folder of the profiles that a package ships.
+
+        Args:
+            package: a legal name of a package.
+            where: the place that includes a file of it.
+
+        Raises:
+            ComArmorError: there is no such package, or it ships no profiles, or its folder cannot be used.
+        """
         prefix = self._prefix(package, where)
         share = Path(prefix, "share", package)
         place = share / _KEYMINT / _PROFILES
@@ -166,7 +155,7 @@ class InstalledPackages:
         return SandboxedFolder(real, f"{PACKAGE}{package}", package, place, trusts_links=follows)
 
     def looked_at(self, package: str) -> tuple[Path, ...]:
-        """See :class:`PackageFolders`."""
+        """Return the paths that tell where a package is; while none of them changes, neither does the answer."""
         paths: list[Path] = []
         for prefix in self.prefixes:
             paths += _marks(prefix, package)
@@ -220,6 +209,10 @@ class InstalledPackages:
             if _is_absolute(other) and package in _names(other):
                 return f"'{path_text(other)}' has some, but '{path_text(prefix)}' comes first in {SEARCH_PATH}"
         return "'keymint plugins' lists the packages that do"
+
+
+PackageFolders = CopiedPackages | InstalledPackages
+"""What finds the folder of the profiles that a package ships."""
 
 
 def _marks(prefix: str, package: str) -> tuple[Path, Path]:

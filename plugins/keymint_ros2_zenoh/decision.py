@@ -28,7 +28,15 @@ from comarmor.values import dataclass
 from keymint.api import Verdict
 from keymint.errors import KeymintError
 from keymint.pki import certificates, certification_path, extensions
-from keymint_ros2_zenoh.documents.configuration import AccessControl, AclRule, AclSubject, Flow, Message, Permission
+from keymint_ros2_zenoh.documents.configuration import (
+    PROPERTIES,
+    AccessControl,
+    AclRule,
+    AclSubject,
+    Flow,
+    Message,
+    Permission,
+)
 from keymint_ros2_zenoh.keyexpr import KeyExpr, includes, parse
 
 
@@ -83,7 +91,7 @@ class AccessModel:
 
     def of_certificate(self, common_name: str) -> LinkAccess:
         """Return the decisions on links of which only the certificate is known: any other property may match."""
-        depending = (each for each in self._depending if common_name in (each.common_names or (common_name,)))
+        depending = (each for each in self._depending if common_name in (each.cert_common_names or (common_name,)))
         more = next((f"the subject {each.id!r} also depends on more than certificates" for each in depending), "")
         return LinkAccess(self._control, [self._entries[each] for each in self._candidates(common_name)], more)
 
@@ -94,7 +102,7 @@ class AccessModel:
         rules = {rule.id: rule for rule in control.rules}
         subjects = {subject.id: subject for subject in control.subjects}
         depending = (subject for subject in control.subjects if subject.depends_on_more)
-        self._depending = sorted(depending, key=lambda subject: not subject.common_names)
+        self._depending = sorted(depending, key=lambda subject: not subject.cert_common_names)
         applying: dict[_Properties, dict[str, AclRule]] = {
             properties: {} for subject in control.subjects for properties in _properties(subject)
         }
@@ -189,8 +197,7 @@ class LinkAccess:
 
 def _properties(subject: AclSubject) -> Iterable[_Properties]:
     """Yield the combinations of one value of each property; None is a property that the subject does not give."""
-    lists = (subject.common_names, subject.usernames, subject.interfaces, subject.protocols, subject.zids)
-    return product(*(values or (None,) for values in lists))
+    return product(*(getattr(subject, name) or (None,) for name in PROPERTIES))
 
 
 def _matches(properties: _Properties, link: Link) -> bool:

@@ -131,9 +131,9 @@ def _random_subject(randomly: random.Random, number: int) -> AclSubject:
 
     return AclSubject(
         f"s{number}",
-        common_names=values(0.8, *NAMES, "/A", "/a/", "/ns"),
+        cert_common_names=values(0.8, *NAMES, "/A", "/a/", "/ns"),
         interfaces=values(0.15, "lo", "eth9"),
-        protocols=values(0.15, "tls", "tcp"),
+        link_protocols=values(0.15, "tls", "tcp"),
     )
 
 

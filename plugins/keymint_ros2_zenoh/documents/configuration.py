@@ -71,14 +71,8 @@ class AclRule:
     where: Origin | None = None
 
 
-PROPERTIES: Mapping[str, str] = {
-    "cert_common_names": "common_names",
-    "usernames": "usernames",
-    "interfaces": "interfaces",
-    "link_protocols": "protocols",
-    "zids": "zids",
-}
-"""The properties of :class:`AclSubject` by their names in a document."""
+PROPERTIES = ("cert_common_names", "usernames", "interfaces", "link_protocols", "zids")
+"""The properties of :class:`AclSubject`, which have the same names in a document."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,26 +81,26 @@ class AclSubject:
 
     Attributes:
         id: its name in the document.
-        common_names: first common names of certificates.
+        cert_common_names: first common names of certificates.
         usernames: user names.
         interfaces: network interfaces.
-        protocols: link protocols: ``tls``, ``quic``, ``tcp``, …
+        link_protocols: link protocols: ``tls``, ``quic``, ``tcp``, …
         zids: identifiers of sessions, which nothing authenticates.
         where: its place in the document; None for a subject that was not read.
     """
 
     id: str
-    common_names: tuple[str, ...] = ()
+    cert_common_names: tuple[str, ...] = ()
     usernames: tuple[str, ...] = ()
     interfaces: tuple[str, ...] = ()
-    protocols: tuple[str, ...] = ()
+    link_protocols: tuple[str, ...] = ()
     zids: tuple[str, ...] = ()
     where: Origin | None = None
 
     @property
     def depends_on_more(self) -> bool:
         """Whether it gives other properties than common names."""
-        return any((self.usernames, self.interfaces, self.protocols, self.zids))
+        return any(getattr(self, name) for name in PROPERTIES[1:])
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,32 +270,25 @@ def _access_control(control: AccessControl) -> str:
     members = [
         f'    "enabled": {_text(control.enabled)}',
         f'    "default_permission": {_text(control.default_permission)}',
-        _list("rules", map(_rule, control.rules)),
-        _list("subjects", map(_subject, control.subjects)),
-        _list("policies", ({"subjects": each.subjects, "rules": each.rules} for each in control.policies)),
+        _list("rules", control.rules, ("id", "permission", "flows", "messages", "key_exprs")),
+        _list("subjects", control.subjects, ("id", *PROPERTIES)),
+        _list("policies", control.policies, ("subjects", "rules")),
     ]
     return "\n".join(['  "access_control": {', ",\n".join(members), "  }"])
 
 
-def _list(name: str, items: Iterable[Mapping[str, Any]]) -> str:
-    """Return a member with one item on each line, or more lines for an item that does not fit."""
-    lines = ",\n".join(f"      {_value(item, 6)}" for item in items)
+def _list(name: str, items: Iterable[AclRule | AclSubject | AclPolicy], members: Sequence[str]) -> str:
+    """Return a member with one item on each line, or more lines for an item that does not fit.
+
+    Args:
+        name: of the member.
+        items: its items.
+        members: the members of an item, which are its attributes; a property that is not given is left out.
+    """
+    given = ({each: getattr(item, each) for each in members} for item in items)
+    written = ({each: value for each, value in item.items() if value or each not in PROPERTIES} for item in given)
+    lines = ",\n".join(f"      {_value(item, 6)}" for item in written)
     return f'    "{name}": [\n{lines}\n    ]' if lines else f'    "{name}": []'
-
-
-def _rule(rule: AclRule) -> Mapping[str, Any]:
-    return {
-        "id": rule.id,
-        "permission": rule.permission,
-        "flows": rule.flows,
-        "messages": rule.messages,
-        "key_exprs": rule.key_exprs,
-    }
-
-
-def _subject(subject: AclSubject) -> Mapping[str, Any]:
-    given = {name: getattr(subject, attribute) for name, attribute in PROPERTIES.items()}
-    return {"id": subject.id} | {name: values for name, values in given.items() if values}
 
 
 def _text(value: Any) -> str:

@@ -179,7 +179,7 @@ class _Reading:
 
     @staticmethod
     def _subject(item: Mapping[str, Any], where: Origin) -> AclSubject:
-        properties = {attribute: _texts(item, name) for name, attribute in PROPERTIES.items()}
+        properties = {name: _texts(item, name) for name in PROPERTIES}
         return AclSubject(item["id"], **properties, where=where)
 
     def _ids(self, control: AccessControl) -> Iterator[Diagnostic]:

@@ -169,7 +169,7 @@ def open_default(found: Configuration, file: str) -> Iterator[Diagnostic]:
 
 def pin_findings(found: Configuration, router: str, file: str) -> Iterator[Diagnostic]:
     """Yield that a session has other subjects than the router, which has this common name."""
-    if [subject.common_names for subject in found.access_control.subjects] != [(router,)]:
+    if [subject.cert_common_names for subject in found.access_control.subjects] != [(router,)]:
         message = (
             f"the only subject of its access control must be the router, {quoted(router)}: otherwise others can stand "
             "for the router"
@@ -180,7 +180,7 @@ def pin_findings(found: Configuration, router: str, file: str) -> Iterator[Diagn
 def entries(found: Configuration) -> Iterator[Diagnostic]:
     """Yield the subject entries that do not match the links of one enclave only, or not all of them."""
     subjects = found.access_control.subjects
-    counts = Counter(name for subject in subjects for name in subject.common_names)
+    counts = Counter(name for subject in subjects for name in subject.cert_common_names)
     for subject in subjects:
         if problem := _problem(subject, counts):
             yield Diagnostic.error(*problem, subject.where)
@@ -194,7 +194,7 @@ def holders(found: Configuration, names: Mapping[str, str], file: str) -> Iterat
         names: the common name of each subject.
         file: the installed file as the user would type it.
     """
-    named = {name: subject for subject in found.access_control.subjects for name in subject.common_names}
+    named = {name: subject for subject in found.access_control.subjects for name in subject.cert_common_names}
     holding = Counter(names.values())
     for name, entry in named.items():
         if name not in holding:
@@ -213,16 +213,16 @@ def holders(found: Configuration, names: Mapping[str, str], file: str) -> Iterat
 def _problem(subject: AclSubject, counts: Counter[str]) -> tuple[str, str] | None:
     """Return code and message of what is wrong with a subject entry."""
     shown = f"the subject {quoted(subject.id)}"
-    if not subject.common_names:
+    if not subject.cert_common_names:
         return "zenoh-wildcard-subject", f"{shown} has no common name: it is every link that its other properties match"
-    doubled = [name for name in subject.common_names if counts[name] > 1]
+    doubled = [name for name in subject.cert_common_names if counts[name] > 1]
     if doubled:
         message = (
             f"{shown} is not the only one with the common name {quoted(doubled[0])}, which may what any of them may"
         )
         return "zenoh-common-name", message
-    if len(subject.common_names) > 1:
-        return "zenoh-common-name", f"{shown} has {len(subject.common_names)} common names, which share its rights"
+    if len(subject.cert_common_names) > 1:
+        return "zenoh-common-name", f"{shown} has {len(subject.cert_common_names)} common names, which share its rights"
     if subject.depends_on_more:
         return "zenoh-subject", f"{shown} has more properties than a common name: its rules do not apply to every link"
     return None

@@ -10,7 +10,7 @@ from comarmor.errors import Reason
 from comarmor.patterns import glob
 from comarmor.patterns.glob import Glob, matches
 from comarmor.patterns.tokens import Charset, charset
-from comarmor.rules import Effect, parts
+from comarmor.rules import Effect, suffixes
 from comarmor.values import dataclass
 from keymint.api import PolicyDecision
 from keymint.api.graph import Edge, Object
@@ -83,13 +83,12 @@ def decide(rules: SubjectRules, domains: tuple[int, ...], key: str, message: Mes
 
 
 def _is_about(rule: Rule, edge: Edge) -> bool:
-    for permission in rule.permissions:
-        for kind, part, suffix in parts(rule.kind, permission):
-            if (kind, part) == (edge.object.kind, edge.permission) and edge.object.name.endswith(suffix):
-                name = edge.object.name[: len(edge.object.name) - len(suffix)]
-                if any(matches(_pattern(expression), name) for expression in rule.expressions):
-                    return True
-    return False
+    name = edge.object.name
+    return any(
+        name.endswith(suffix) and matches(_pattern(expression), name.removesuffix(suffix))
+        for suffix in suffixes(rule, edge.object.kind, edge.permission)
+        for expression in rule.expressions
+    )
 
 
 @lru_cache(maxsize=1 << 10)

@@ -76,7 +76,7 @@ def test_a_session_is_a_client_of_the_router_alone() -> None:
     assert found.connect_key == f"{KEYSTORE}/enclaves/talker/key.pem"
     control = found.access_control
     assert (control.enabled, control.default_permission) == (True, Permission.DENY)
-    assert [subject.common_names for subject in control.subjects] == [("/zenoh_router",)]
+    assert [subject.cert_common_names for subject in control.subjects] == [("/zenoh_router",)]
     assert [(set(each.messages), set(each.flows)) for each in control.rules] == [(set(Message), set(Flow))]
     assert found.other["timestamping/enabled"] is True
 
@@ -97,7 +97,7 @@ def test_the_router_denies_by_default_and_knows_each_enclave_by_one_common_name(
     assert found.close_expired
     control = found.access_control
     assert (control.enabled, control.default_permission) == (True, Permission.DENY)
-    assert [subject.common_names for subject in control.subjects] == [("/robot/listener",), ("/talker",)]
+    assert [subject.cert_common_names for subject in control.subjects] == [("/robot/listener",), ("/talker",)]
     assert [policy.subjects for policy in control.policies] == [("/robot/listener",), ("/talker",)]
     rules = {each.id: each for each in control.rules}
     for policy in control.policies:
@@ -284,7 +284,7 @@ def test_no_enclave_has_the_common_name_of_the_router() -> None:
 def test_a_shortened_common_name_is_the_one_that_counts() -> None:
     found = router(package(subject="/very/deep/talker", name="CN=/deep/talker,OU=x2"))
     [subject] = found.access_control.subjects
-    assert (subject.id, subject.common_names) == ("/very/deep/talker", ("/deep/talker",))
+    assert (subject.id, subject.cert_common_names) == ("/very/deep/talker", ("/deep/talker",))
 
 
 def test_one_router_one_signer_and_one_issuer_for_all() -> None:

@@ -89,7 +89,7 @@ def test_a_property_left_out_matches_any_and_all_that_are_given_must_match() -> 
     assert allowed(control(rule("a", "allow", "**"), subjects=anyone), "0/x", Link("/whoever"))
     on_ethernet = (AclSubject("s", ("/talker",), interfaces=("eth0",)),)
     assert not allowed(control(rule("a", "allow", "**"), subjects=on_ethernet), "0/x")
-    of_two = (AclSubject("s", ("/listener", "/talker"), protocols=("quic", "tls")),)
+    of_two = (AclSubject("s", ("/listener", "/talker"), link_protocols=("quic", "tls")),)
     assert allowed(control(rule("a", "allow", "**"), subjects=of_two), "0/x")
 
 

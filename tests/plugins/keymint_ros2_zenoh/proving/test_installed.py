@@ -163,13 +163,14 @@ SESSION_FAULTS = {
     ),
     "off": (in_control(lambda control: replace(control, enabled=False)), "everything is allowed"),
     "not pinned": (
-        in_control(lambda control: replace(control, subjects=(replace(control.subjects[0], common_names=()),))),
+        in_control(lambda control: replace(control, subjects=(replace(control.subjects[0], cert_common_names=()),))),
         "must be the router",
     ),
     "another enclave as router": (
         in_control(
             lambda control: replace(
-                control, subjects=(replace(control.subjects[0], common_names=("/zenoh_router", "/robot/listener")),)
+                control,
+                subjects=(replace(control.subjects[0], cert_common_names=("/zenoh_router", "/robot/listener")),),
             )
         ),
         "must be the router",
@@ -276,7 +277,7 @@ ROUTER_FAULTS = {
     "two enclaves together": (
         in_control(
             lambda control: replace(
-                control, subjects=(replace(control.subjects[0], common_names=("/talker", "/robot/listener")),),
+                control, subjects=(replace(control.subjects[0], cert_common_names=("/talker", "/robot/listener")),),
                 policies=tuple(replace(each, subjects=(control.subjects[0].id,)) for each in control.policies),
             )
         ),
@@ -300,7 +301,7 @@ def test_two_enclaves_with_one_common_name() -> None:
 
 def test_an_enclave_with_the_certificate_of_another() -> None:
     def one_entry(control: AccessControl) -> AccessControl:
-        [own] = [each for each in control.subjects if each.common_names == ("/talker",)]
+        [own] = [each for each in control.subjects if each.cert_common_names == ("/talker",)]
         policies = tuple(each for each in control.policies if own.id in each.subjects)
         return replace(control, subjects=(own,), policies=policies)
 
