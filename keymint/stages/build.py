@@ -29,17 +29,8 @@ from keymint.stages.documents import (
 from keymint.stages.work import PackagePlan, state_after, steps_of
 from keymint.store.changes import Action, DocumentSize, File, FolderChange, Plan, Step
 from keymint.view.stamps import Stamp, digest
-from keymint.workspace.package_build_types import (
-    BUILD,
-    SHARED,
-    build_types_of,
-    inputs_digest,
-    is_build_current,
-    record_key,
-    shared_type,
-    two_writers,
-    users,
-)
+from keymint.workspace import package_build_types
+from keymint.workspace.package_build_types import BUILD, SHARED
 from keymint.workspace.policy_loading import lazy_policy
 from keymint.workspace.session import Session
 
@@ -128,11 +119,11 @@ def options_of(options: BuildOptions, subject: str) -> BuildOptions:
 
 def _plan_documents(session: Session, name: str, options: BuildOptions, *, force: bool, renew: bool) -> PackagePlan:
     """Return the plan for a package and its key, or for the documents over all packages of a build type."""
-    shared, folder = shared_type(name), documents_folder(session, name)
+    shared, folder = package_build_types.shared_type(name), documents_folder(session, name)
     options = options if shared else options_of(options, subject_of(name))
     context = digest(repr(options))
     stamp = session.state.stamp(STAGE, name)
-    same = stamp is not None and stamp.context == context and is_build_current(session, name)
+    same = stamp is not None and stamp.context == context and package_build_types.is_build_current(session, name)
     may_stay = same and not force and not renew and (shared or identity_keys.is_there(session, name))
     if stamp and may_stay and (step := kept_documents_step(session, name, stamp)):
         return PackagePlan(name, step, lifetimes=() if shared else terms.recorded_terms(session, name, stamp))
@@ -154,7 +145,7 @@ def _plan_documents(session: Session, name: str, options: BuildOptions, *, force
     step = Step(STAGE, "" if shared else name, action, (*minted, *changes), ", ".join(map(_smaller, shown)), sizes)
     own, build_types = (terms.lifetimes(package), package.build_types) if package else ((), (shared,))
     made = Stamp(
-        inputs_digest(session, name, build_types),
+        package_build_types.inputs_digest(session, name, build_types),
         {file: new.digest for file, new in files.items()},
         context=context,
         lifetimes=terms.dump(own, session.workspace) if package else "",
@@ -174,11 +165,11 @@ def _plan_shared(session: Session, options: BuildOptions, *, force: bool) -> lis
     Raises:
         KeymintError: a package has defects, or packages contradict each other.
     """
-    names = [record_key(build_type) for build_type in users(session)]
+    names = [package_build_types.record_key(build_type) for build_type in package_build_types.users(session)]
     planned = [_plan_documents(session, name, options, force=force, renew=False) for name in names]
     writers: dict[str, str] = {}
     for plan in planned:
-        own = shared_type(plan.name)
+        own = package_build_types.shared_type(plan.name)
         for path in (plan.stamp or session.state.stamps[STAGE][plan.name]).outputs:
             if (other := writers.setdefault(path, own)) != own:
                 raise KeymintError(
@@ -219,10 +210,10 @@ def _built(session: Session, package: Package, options: BuildOptions) -> BuildRe
     sizes: dict[str, int] = {}
     diagnostics: list[Diagnostic] = []
     defects = Defects()
-    for name, build_type in build_types_of(session, package).items():
+    for name, build_type in package_build_types.build_types_of(session, package).items():
         with defects:
             built = build_type.build(package, options)
-            defects.found += two_writers(session, package, builders, name, built.documents)
+            defects.found += package_build_types.two_writers(session, package, builders, name, built.documents)
             documents |= built.documents
             sizes |= built.plain_sizes
             diagnostics += built.diagnostics
@@ -315,7 +306,7 @@ def _alone(session: Session, names: Sequence[str]) -> Iterator[Package]:
     """Yield the packages to build that are the only one of their kind."""
     packages: list[Package] = []
     for name in names:
-        if not is_build_current(session, name):
+        if not package_build_types.is_build_current(session, name):
             with contextlib.suppress(KeymintError):  # the build reports it
                 packages.append(session.package(name))
     kinds = [(kind_of(each.grant.rules.rules)[0], each.distro, each.grant.domains) for each in packages]

@@ -14,16 +14,10 @@ from keymint.api import Package
 from keymint.authority.authorities import MintedAuthority
 from keymint.authority.authority_files import chains_digest
 from keymint.errors import KeymintError
-from keymint.life import earlier_rights, revocation_lists_in_force, terms
+from keymint.life import earlier_rights, revocation_lists_in_force, terms, workspace_register
 from keymint.life.register import SignedRights
 from keymint.life.terms import iso_time
-from keymint.life.workspace_register import (
-    complete_register,
-    register_change,
-    register_of,
-    require_free_serials,
-    rights_of,
-)
+from keymint.life.workspace_register import register_of
 from keymint.names import subject_of
 from keymint.pki import certificates
 from keymint.pki.distinguished_names import to_text
@@ -46,15 +40,7 @@ from keymint.stages.signing import sign
 from keymint.stages.work import PackagePlan, state_after, steps_of
 from keymint.store.changes import Action, File, FolderChange, Plan, Step
 from keymint.view.stamps import Stamp, digest, digest_files
-from keymint.workspace.enclave_changes import (
-    EnclaveChanges,
-    build_types_in_use,
-    obsolete_steps,
-    removal_step,
-    shared_copies,
-    shared_steps,
-    withdraw,
-)
+from keymint.workspace import enclave_changes
 from keymint.workspace.installed_enclaves import (
     CERTIFICATE,
     INSTALLED,
@@ -120,23 +106,23 @@ class InstallStage:
         removed = orphans(session) if prune else ()
         shared = _plan_shared(session, [each.name for each in planned], self._authorities, removed)
         withdrawn = {each.name: each.withdrawn for each in planned if each.withdrawn}
-        changes = EnclaveChanges(changed, frozenset((*removed, *withdrawn)))
-        scripts, foreign = plan_scripts(session, build_types_in_use(session, changes))
-        copies = shared_copies(session, changes)
-        steps = [*steps_of(shared), *shared_steps(session, copies), *scripts, *steps_of(planned)]
+        changes = enclave_changes.EnclaveChanges(changed, frozenset((*removed, *withdrawn)))
+        scripts, foreign = plan_scripts(session, enclave_changes.build_types_in_use(session, changes))
+        copies = enclave_changes.shared_copies(session, changes)
+        steps = [*steps_of(shared), *enclave_changes.shared_steps(session, copies), *scripts, *steps_of(planned)]
         diagnostics = [*(diagnostic for each in planned for diagnostic in each.diagnostics), *foreign]
         diagnostics += _outdated(session, [each.name for each in planned if each.outdated])
         diagnostics += (diagnostic for each in shared for diagnostic in each.diagnostics)
         diagnostics += terms.of_sources({each.name: each.lifetimes for each in planned}, session)
         diagnostics += [each for each in orphan_findings(session) if not prune or each.code != "enclave-orphaned"]
         state = state_after(session.state, STAGE, [*shared, *planned], (*removed, *withdrawn))
-        steps += [withdraw(session, name, reason, changes) for name, reason in withdrawn.items()]
+        steps += [enclave_changes.withdraw(session, name, reason, changes) for name, reason in withdrawn.items()]
         if prune:
             require_sources(session)
             diagnostics += _still_good(session, removed)
-            steps += [removal_step(session, name, changes) for name in removed]
+            steps += [enclave_changes.removal_step(session, name, changes) for name in removed]
             state = without_recorded_keys(state, IDENTITY_KEYS, removed)
-        steps += obsolete_steps(session, copies, steps)
+        steps += enclave_changes.obsolete_steps(session, copies, steps)
         return Plan(tuple(steps), state, tuple(diagnostics), _register(session, planned))
 
 
@@ -164,10 +150,10 @@ def _register(session: Session, planned: Sequence[PackagePlan]) -> tuple[FolderC
     issued = [each.issued for each in planned if each.issued]
     if not issued:
         return ()
-    register = complete_register(session)
-    require_free_serials(register, issued)
+    register = workspace_register.complete_register(session)
+    workspace_register.require_free_serials(register, issued)
     signed = (each for plan in planned for each in plan.signed)
-    return register_change(session, register.with_issued(issued).with_rights(signed))
+    return workspace_register.register_change(session, register.with_issued(issued).with_rights(signed))
 
 
 def _plan_enclave(
@@ -331,7 +317,7 @@ def _not_built(session: Session, name: str, what: str) -> KeymintError:
 def _signed(session: Session, package: Package, files: Mapping[str, bytes]) -> tuple[SignedRights, ...]:
     """Return the documents of an enclave that its holder presents, for the register."""
     subject = to_text(certificates.load(files[CERTIFICATE]).subject)
-    return tuple(rights_of(package, build_types_of(session, package).values(), files, subject))
+    return tuple(workspace_register.rights_of(package, build_types_of(session, package).values(), files, subject))
 
 
 def _obsolete(

@@ -29,28 +29,13 @@ from keymint.ir import SubjectRules
 from keymint.life import terms
 from keymint.names import name_of, subject_of
 from keymint.stages.documents import documents_digest, enclaves_of, installed_documents
-from keymint.stages.proof.proof_results import (
-    EnclaveProof,
-    ProofEffort,
-    ProofResults,
-    costliest,
-    dump_proof,
-    has_rules,
-    has_written,
-    load_proof,
-    with_proof_digest,
-)
+from keymint.stages.proof import proof_results
+from keymint.stages.proof.proof_results import EnclaveProof, ProofEffort, ProofResults
 from keymint.stages.proof.trust_anchors import anchors_of, contradictions_for, shared_anchors, unread_of
 from keymint.view.stamps import Stamp, digest, digest_files
+from keymint.workspace import package_build_types
 from keymint.workspace.installed_enclaves import enclave_digests, enclave_files, not_installed
-from keymint.workspace.package_build_types import (
-    SHARED,
-    build_types_of,
-    inputs_digest,
-    load_packages,
-    record_key,
-    users,
-)
+from keymint.workspace.package_build_types import SHARED
 from keymint.workspace.session import Session
 
 STAGE = "prove"
@@ -179,7 +164,7 @@ class ProofStage:
             return replace(recorded, subject=subject_of(name))
         package = session.package(name)
         files = enclave_files(session, name)[0] if files is None else files
-        build_types = tuple(build_types_of(session, package)) if files else ()
+        build_types = tuple(package_build_types.build_types_of(session, package)) if files else ()
         inputs = self._inputs_digest(name, digests, build_types)
         rules = self._rules(package.subject)
         proof = self._proof(package, rules, files, folder)
@@ -187,12 +172,12 @@ class ProofStage:
 
     def _across(self, names: Collection[str]) -> Iterator[EnclaveProof]:
         """Prove the claims across subjects of the build types that some packages have, unless these are on record."""
-        for name, of_type in users(self._session).items():
+        for name, of_type in package_build_types.users(self._session).items():
             if not set(names).isdisjoint(of_type):
                 yield self._prove_across(name, of_type)
 
     def _prove_across(self, name: str, names: Sequence[str]) -> EnclaveProof:
-        session, key, folder = self._session, record_key(name), self._shared_folder
+        session, key, folder = self._session, package_build_types.record_key(name), self._shared_folder
         build_type = session.plugins.build_type(name)
         enclaves = enclaves_of(session, name)
         digests = {subject: digest_files(files) for subject, files in enclaves.items()}
@@ -201,7 +186,7 @@ class ProofStage:
             return recorded
         rules = {subject: self._rules(subject) for subject in subjects}
         try:
-            packages = load_packages(session, name)
+            packages = package_build_types.load_packages(session, name)
             task = SharedProofTask(
                 packages,
                 rules,
@@ -224,7 +209,7 @@ class ProofStage:
     def _recorded(self, name: str, subjects: Sequence[str], inputs: str, folder: str) -> EnclaveProof | None:
         """Return the proof on record if it is of the same files and the same rules of some subjects, else None."""
         stamp = self._session.state.stamp(STAGE, name)
-        known = load_proof(stamp, folder) if stamp and stamp.inputs == inputs else None
+        known = proof_results.load_proof(stamp, folder) if stamp and stamp.inputs == inputs else None
         if stamp is None or known is None or not self._same_rules(stamp, subjects):
             return None
         proof = EnclaveProof(name, "", known[0], cached=True, terms=known[1], build_types=stamp.build_types)
@@ -237,15 +222,15 @@ class ProofStage:
             return proof
         if proof.diagnostics or any(claim.proof is not Proof.PROVEN for claim in proof.claims):
             return replace(proof, refuted=True)
-        stamp = replace(stamp, outputs=dump_proof(proof.claims, proof.terms, rules, folder))
+        stamp = replace(stamp, outputs=proof_results.dump_proof(proof.claims, proof.terms, rules, folder))
         return replace(proof, stamp=self._of_policy(stamp, [each.subject for each in rules]))
 
     def _same_rules(self, stamp: Stamp, subjects: Iterable[str]) -> bool:
         """Tell whether the policy has the same rules for some subjects as when the stamp was made."""
         return (
             stamp.context == self._policy_digest
-            or has_written(stamp, self._written(subjects))
-            or has_rules(stamp, [self._rules(subject) for subject in subjects])
+            or proof_results.has_written(stamp, self._written(subjects))
+            or proof_results.has_rules(stamp, [self._rules(subject) for subject in subjects])
         )
 
     def _written(self, subjects: Iterable[str]) -> str:
@@ -257,7 +242,7 @@ class ProofStage:
         """Return a stamp as the present policy has it, or None if it is that already."""
         if stamp.context == self._policy_digest:
             return None
-        outputs = with_proof_digest(stamp.outputs, self._written(subjects))
+        outputs = proof_results.with_proof_digest(stamp.outputs, self._written(subjects))
         return replace(stamp, context=self._policy_digest, outputs=outputs)
 
     def _shown(self, name: str) -> str:
@@ -272,7 +257,7 @@ class ProofStage:
         claims: list[Claim] = []
         validity: list[ValidityTerm] = []
         defects = Defects()
-        build_types = build_types_of(self._session, package)
+        build_types = package_build_types.build_types_of(self._session, package)
         for name, build_type in build_types.items():
             prover = build_type.prover
             if prover is None:
@@ -324,7 +309,7 @@ class ProofStage:
         shared = (documents_digest(self._session, each) for each in build_types)
         files = (part for item in sorted(digests.items()) for part in item)
         of_vendors = filter(None, [self._session.vendors_of])
-        built = inputs_digest(self._session, name)
+        built = package_build_types.inputs_digest(self._session, name)
         return digest(built, self._chains_digest, __version__, *of_vendors, *shared, "", *files)
 
     def _rules(self, subject: str) -> SubjectRules:
@@ -337,5 +322,5 @@ def _with_rules(claims: Iterable[Claim], rules: Iterable[SubjectRules]) -> tuple
     """Return claims; those that took too many steps also name the rules that are likely to blame."""
     if not any(each.spent for each in claims):
         return tuple(claims)
-    places = costliest(rule for each in rules for rule in each.rules)
+    places = proof_results.costliest(rule for each in rules for rule in each.rules)
     return tuple(replace(each, reason=each.reason + places) if each.spent else each for each in claims)
