@@ -26,7 +26,7 @@ from keymint.examine.authorities import (
     git_exposure,
     in_defect,
 )
-from keymint.examine.enclaves import Examined, LoadedEnclave, examine, load
+from keymint.examine.enclaves import LoadedEnclave, examine, load
 from keymint.examine.files import file_status, outside_enclaves
 from keymint.examine.keystore import deciding_findings, staged_keystore_session
 from keymint.executors import Pool
@@ -50,23 +50,23 @@ def check(session: Session, names: Sequence[str], within: timedelta, pool: Pool)
     """
     of_authorities = tuple(authorities(session, within))
     keyring = Keyring(session)
-    loaded = _loaded(session, names, within)
-    first = tuple(_examined(session, keyring, loaded[:1]))  # processes have then what all enclaves need
+    loaded = [load(session, name, within) for name in names]
+    first = [examine(session, each, keyring) for each in loaded[:1]]  # processes have then what all enclaves need
     parts = pool.parts(loaded[1:], LEAST)
     tasks: list[Callable[[], Iterable[Any]]] = [
         partial(outside_enclaves, session, within), partial(file_status, session), partial(git_exposure, session),
         partial(_deciding, session),
     ]  # fmt: skip
-    tasks += (partial(_examined, session, keyring, part) for part in parts)
+    tasks += (partial(map, partial(examine, session, keyring=keyring), part) for part in parts)
     alone = len(parts) <= 1
     found = (tuple(task()) for task in tasks) if alone else pool.map(_carry_out, tasks)
     around, of_files, of_git, decides, *examined = found
-    enclaves: list[Examined] = [each for part in (first, *examined) for each in part]
-    findings = [finding for each in enclaves for finding in each.findings]
-    findings += _of_several(session, [each for each in loaded if isinstance(each, LoadedEnclave)])
+    enclaves: list[tuple[str, str, Sequence[Diagnostic]]] = [each for part in (first, *examined) for each in part]
+    findings = [finding for _, _, of_enclave in enclaves for finding in of_enclave]
+    findings += _of_several(session, loaded)
     findings += orphan_findings(session)
     findings += (each for each in decides if each not in findings)  # the defects of packages are found above
-    fingerprints = {each.name: each.fingerprint for each in enclaves if each.fingerprint}
+    fingerprints = {name: fingerprint for name, fingerprint, _ in enclaves if fingerprint}
     findings += identity_keys.shared_keys(session, fingerprints)
     findings += (*elsewhere(session), *encryption(session), *exposed_keys(session))
     findings += around
@@ -102,22 +102,6 @@ _OF_RECORD = frozenset({"record-missing", "key-missing"})
 
 def _carry_out(_plugins: Plugins, task: Callable[[], Iterable[Any]]) -> tuple[Any, ...]:
     return tuple(task())
-
-
-def _loaded(session: Session, names: Sequence[str], within: timedelta) -> list[LoadedEnclave | Examined]:
-    """Return each package with its enclave; the findings on a package that has defects."""
-    loaded: list[LoadedEnclave | Examined] = []
-    for name in names:
-        try:
-            loaded.append(load(session, name, within))
-        except KeymintError as error:
-            loaded.append(Examined(name, findings=tuple(error.diagnostics)))
-    return loaded
-
-
-def _examined(session: Session, keyring: Keyring, part: Sequence[LoadedEnclave | Examined]) -> Iterator[Examined]:
-    for each in part:
-        yield each if isinstance(each, Examined) else examine(session, each, keyring)
 
 
 def _of_several(session: Session, loaded: Iterable[LoadedEnclave]) -> Iterator[Diagnostic]:

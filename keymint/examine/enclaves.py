@@ -35,36 +35,21 @@ class LoadedEnclave:
     """A package, and the files of its enclave.
 
     Attributes:
-        package: the package.
+        package: the package; None if it has defects.
         files: the files by name.
-        unread: findings on files that cannot be read.
+        unread: findings on files that cannot be read, or the defects of the package.
         seen: what each build type sees of it.
     """
 
-    package: Package
-    files: Mapping[str, bytes] = field(repr=False)
-    unread: tuple[Diagnostic, ...]
-    seen: Inspections
+    package: Package | None
+    files: Mapping[str, bytes] = field(default_factory=dict, repr=False)
+    unread: tuple[Diagnostic, ...] = ()
+    seen: Inspections = field(default_factory=dict)
 
     @property
     def is_absent(self) -> bool:
         """Whether there is no enclave."""
         return not self.files and not self.unread
-
-
-@dataclass(frozen=True, slots=True)
-class Examined:
-    """What was found in an enclave.
-
-    Attributes:
-        name: the package.
-        fingerprint: fingerprint of its key; empty if it cannot be read.
-        findings: the findings.
-    """
-
-    name: str
-    fingerprint: str = ""
-    findings: tuple[Diagnostic, ...] = ()
 
 
 def load(session: Session, name: str, within: timedelta) -> LoadedEnclave:
@@ -74,41 +59,54 @@ def load(session: Session, name: str, within: timedelta) -> LoadedEnclave:
         session: the workspace and its profile.
         name: the package.
         within: report what expires within this time.
-
-    Raises:
-        KeymintError: the package has defects.
     """
-    package = session.package(name, built=is_build_current(session, name))
-    files, unreadable = enclave_files(session, name)
-    unread = tuple(each for each in unreadable if each.code != "symlink-refused")  # reported with the modes
-    return LoadedEnclave(package, files, unread, _inspections(session, package, files, within))
+    try:
+        package = session.package(name, built=is_build_current(session, name))
+        files, unreadable = enclave_files(session, name)
+        unread = tuple(each for each in unreadable if each.code != "symlink-refused")  # reported with the modes
+        return LoadedEnclave(package, files, unread, _inspections(session, package, files, within))
+    except KeymintError as error:
+        return LoadedEnclave(None, unread=tuple(error.diagnostics))
 
 
-def examine(session: Session, loaded: LoadedEnclave, keyring: identity_keys.Keyring) -> Examined:
+def examine(
+    session: Session, loaded: LoadedEnclave, keyring: identity_keys.Keyring
+) -> tuple[str, str, tuple[Diagnostic, ...]]:
     """Check one enclave, and what of it the authorities of the workspace do not vouch for.
 
     Args:
         session: the workspace and its profile.
         loaded: the enclave.
         keyring: the known keys of all subjects and authorities.
+
+    Returns:
+        The package, the fingerprint of its key (empty if it cannot be read), and the findings.
     """
     package = loaded.package
+    if package is None:
+        return "", "", loaded.unread
     fingerprint, findings = _identity_key(session, package, keyring)
-    found = (*findings, *([_absent(session, package.name)] if loaded.is_absent else _of_files(session, loaded)))
+    found = (
+        *findings,
+        *([_absent(session, package.name)] if loaded.is_absent else _of_files(session, package, loaded)),
+    )
     known = {(each.code, each.where) for each in found}
     try:
         more = dict.fromkeys(_unvouched(session, package))
         unvouched = tuple(each for each in more if (each.code, each.where) not in known)
     except KeymintError:  # of documents of several packages, which are reported
         unvouched = ()
-    return Examined(package.name, fingerprint, (*found, *unvouched))
+    return package.name, fingerprint, (*found, *unvouched)
 
 
-def _of_files(session: Session, loaded: LoadedEnclave) -> Iterator[Diagnostic]:
+def _of_files(session: Session, package: Package, loaded: LoadedEnclave) -> Iterator[Diagnostic]:
     """Yield the findings on the files of an enclave, and those of its build types."""
     yield from loaded.unread
-    yield from _on_disk(session, loaded.package.name, loaded.files)
-    yield from _unexpected(session, loaded)
+    yield from _on_disk(session, package.name, loaded.files)
+    known = frozenset[str]().union(*(own.files for _, own in loaded.seen.values()))
+    for file in sorted(loaded.files.keys() - known):
+        message = f"does not belong to the layout {session.profile.layout!r}"
+        yield unexpected_file(session, session.enclave(package.name) / file, message, package.subject)
     unread = {each.where for each in loaded.unread}
     for each in dict.fromkeys(each for build_type, own in loaded.seen.values() for each in build_type.check(own)):
         if each.code != "file-missing" or each.where not in unread:
@@ -197,14 +195,6 @@ def _built(build_type: BuildType, package: Package) -> Mapping[str, bytes]:
         KeymintError: the package has defects.
     """
     return build_type.build(package, BuildOptions(allow_vendor_specific=True)).documents
-
-
-def _unexpected(session: Session, loaded: LoadedEnclave) -> Iterator[Diagnostic]:
-    """Yield a finding for each file of an enclave that belongs to none of the package's build types."""
-    known = frozenset[str]().union(*(own.files for _, own in loaded.seen.values()))
-    for file in sorted(loaded.files.keys() - known):
-        message = f"does not belong to the layout {session.profile.layout!r}"
-        yield unexpected_file(session, session.enclave(loaded.package.name) / file, message, loaded.package.subject)
 
 
 def _identity_key(

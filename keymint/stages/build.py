@@ -20,14 +20,13 @@ from keymint.stages import identity_keys
 from keymint.stages.documents import (
     build_shared,
     documents_folder,
-    file_changes,
     kept_documents_step,
     obsolete_documents,
     refuse_edits,
     removals,
 )
 from keymint.stages.work import PackagePlan, state_after, steps_of
-from keymint.store.changes import Action, DocumentSize, File, FolderChange, Plan, Step
+from keymint.store.changes import Action, DocumentSize, FolderChange, Plan, Step, folder_changes
 from keymint.view.stamps import Stamp, digest
 from keymint.workspace import package_build_types
 from keymint.workspace.package_build_types import BUILD, SHARED
@@ -130,23 +129,23 @@ def _plan_documents(session: Session, name: str, options: BuildOptions, *, force
     package = None if shared else session.package(name)
     built = _built(session, package, options) if package else build_shared(session, shared, options)
     obsolete = sorted(stamp.outputs.keys() - built.documents.keys()) if stamp else []
-    existing = {file: session.tree.read(f"{folder}/{file}") for file in built.documents}
-    files = {file: File(content) for file, content in built.documents.items()}
-    new_files = {file: new for file, new in files.items() if existing[file] != new.content}
+    present = (*built.documents, *(obsolete if shared else ()))
+    existing = {file: session.tree.read(f"{folder}/{file}") for file in present}
     if not force:
-        edited = {file: session.tree.read(f"{folder}/{file}") for file in obsolete} if shared else {}
-        refuse_edits(session, name, {file: existing[file] for file in new_files} | edited)
-    changes = (*file_changes(folder, new_files), *removals(session, folder, obsolete))
+        others = {file: content for file, content in existing.items() if content != built.documents.get(file)}
+        refuse_edits(session, name, others)
+    changes = (*folder_changes(session.tree, folder, built.documents), *removals(session, folder, obsolete))
     minted, fingerprint = _key(session, package, renew=renew) if package else ((), "")
     before = stamp is not None or any(content is not None for content in existing.values())
     action = (Action.UPDATED if before else Action.CREATED) if changes or minted else Action.UNCHANGED
-    sizes = tuple(DocumentSize(file, len(files[file].content), n) for file, n in sorted(built.plain_sizes.items()))
-    shown = [DocumentSize(file, len(new.content), len(new.content)) for file, new in files.items()] if shared else sizes
+    bytes_of = {file: len(content) for file, content in built.documents.items()}
+    sizes = tuple(DocumentSize(file, bytes_of[file], plain) for file, plain in sorted(built.plain_sizes.items()))
+    shown = [DocumentSize(file, size, size) for file, size in bytes_of.items()] if shared else sizes
     step = Step(STAGE, "" if shared else name, action, (*minted, *changes), ", ".join(map(_smaller, shown)), sizes)
     own, build_types = (terms.lifetimes(package), package.build_types) if package else ((), (shared,))
     made = Stamp(
         package_build_types.inputs_digest(session, name, build_types),
-        {file: new.digest for file, new in files.items()},
+        {file: digest(content) for file, content in built.documents.items()},
         context=context,
         lifetimes=terms.dump(own, session.workspace) if package else "",
         build_types=build_types,

@@ -247,11 +247,6 @@ def removals(session: Session, folder: Path, paths: Iterable[str]) -> tuple[Fold
     return tuple(FolderChange(parent, removed=tuple(names)) for parent, names in folders.items())
 
 
-def file_changes(folder: Path, files: Mapping[str, File]) -> tuple[FolderChange, ...]:
-    """Return the changes that write files, given by path relative to a folder."""
-    return tuple(FolderChange(parent, of_folder) for parent, of_folder in by_folder(folder, files).items())
-
-
 # -- what is installed -------------------------------------------------------------------------------------------------
 
 

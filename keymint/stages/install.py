@@ -28,7 +28,6 @@ from keymint.stages.documents import (
     document_digests,
     documents_folder,
     edits,
-    file_changes,
     is_built,
     obsolete_documents,
     removals,
@@ -38,7 +37,7 @@ from keymint.stages.environment_scripts import plan_scripts
 from keymint.stages.identity_keys import Keyring
 from keymint.stages.signing import sign
 from keymint.stages.work import PackagePlan, state_after, steps_of
-from keymint.store.changes import Action, File, FolderChange, Plan, Step
+from keymint.store.changes import Action, File, FolderChange, Plan, Step, by_folder
 from keymint.view.stamps import Stamp, digest, digest_files
 from keymint.workspace import enclave_changes
 from keymint.workspace.installed_enclaves import (
@@ -288,10 +287,8 @@ def _plan_shared_documents(
     stamp = session.state.stamp(STAGE, key)
     files = {path: File(artifact.content, secret=artifact.secret) for path, artifact in artifacts.items()}
     former = set(stamp.outputs if stamp else ()) - files.keys()
-    changes = (
-        *removals(session, install, former),
-        *file_changes(install, new_files(session, install, existing, files)),
-    )
+    written = by_folder(install, new_files(session, install, existing, files))
+    changes = (*removals(session, install, former), *(FolderChange(*each) for each in written.items()))
     action = Action.UPDATED if existing else Action.CREATED
     made = _stamp(inputs_of(session, key) or "", files, build_types=(shared_type(key),))
     step = Step(STAGE, "", action, changes, f"{', '.join(documents)}, for all enclaves")
@@ -300,11 +297,9 @@ def _plan_shared_documents(
 
 
 def _stamp(inputs: str, files: Mapping[str, File], lifetimes: str = "", build_types: tuple[str, ...] = ()) -> Stamp:
-    outputs, secret = (
-        {file: item.digest for file, item in files.items()},
-        (file for file in files if files[file].secret),
-    )
-    return Stamp(inputs, outputs, tuple(secret), lifetimes=lifetimes, build_types=build_types)
+    outputs = {file: item.digest for file, item in files.items()}
+    secret = tuple(file for file, item in files.items() if item.secret)
+    return Stamp(inputs, outputs, secret, lifetimes=lifetimes, build_types=build_types)
 
 
 def _not_built(session: Session, name: str, what: str) -> KeymintError:

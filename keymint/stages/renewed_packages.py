@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 
 from comarmor.errors import Defects, Diagnostic
-from comarmor.values import dataclass
 from keymint.api import BuildOptions
 from keymint.authority import authorities
 from keymint.errors import KeymintError
@@ -22,30 +21,19 @@ from keymint.workspace.package_build_types import is_build_current
 from keymint.workspace.session import Session
 
 
-@dataclass(frozen=True, slots=True)
-class Chosen:
-    """What a renewal takes up.
-
-    Attributes:
-        names: the packages to renew.
-        state: the record, with the builds of these packages that it did not have.
-        requests: a finding for each package whose new key must be made elsewhere.
-        errors: why other packages cannot be renewed.
-    """
-
-    names: tuple[str, ...]
-    state: State
-    requests: tuple[Diagnostic, ...]
-    errors: tuple[Diagnostic, ...]
-
-
-def renewable_packages(session: Session, names: Iterable[str], *, rekey: bool) -> Chosen:
+def renewable_packages(
+    session: Session, names: Iterable[str], *, rekey: bool
+) -> tuple[list[str], State, list[Diagnostic], list[Diagnostic]]:
     """Return which of some packages can be renewed.
 
     Args:
         session: the workspace and its profile.
         names: packages.
         rekey: they are to get new keys.
+
+    Returns:
+        The packages to renew; the record, with the builds of these packages that it did not have; a finding for each
+        package whose new key must be made elsewhere; and why other packages cannot be renewed.
     """
     taken: list[str] = []
     requests: list[Diagnostic] = []
@@ -61,7 +49,7 @@ def renewable_packages(session: Session, names: Iterable[str], *, rekey: bool) -
             stamps |= _require_same(session, name)
             taken.append(name)
     state = session.state.updated(build.STAGE, stamps) if stamps else session.state
-    return Chosen(tuple(taken), state, tuple(requests), tuple(defects.found))
+    return taken, state, requests, defects.found
 
 
 def _request(session: Session, name: str) -> Diagnostic:

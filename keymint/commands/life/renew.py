@@ -135,11 +135,10 @@ def _renewal(run: Run, session: Session, due: Schedule, *, rekey: bool, prove: b
     Raises:
         KeymintError: nothing that is due can be renewed, or not all that was named.
     """
-    choice = renewable_packages(session, [each.name for each in due.enclaves], rekey=rekey)
-    if choice.errors and not alone:
-        raise KeymintError.of(choice.errors)
-    names, errors = list(choice.names), list(choice.errors)
-    session = session.after(Plan((), choice.state))
+    names, state, requests, errors = renewable_packages(session, [each.name for each in due.enclaves], rekey=rekey)
+    if errors and not alone:
+        raise KeymintError.of(errors)
+    session = session.after(Plan((), state))
     plan = Plan((), session.state)
     waiting: set[str] = set()
     waiting_lists: tuple[Due, ...] = ()
@@ -162,7 +161,7 @@ def _renewal(run: Run, session: Session, due: Schedule, *, rekey: bool, prove: b
             if not alone or not defective:
                 raise KeymintError.of(tuple(dict.fromkeys(errors))) from error
             names = [name for name in names if name not in defective]
-    findings = [*choice.requests, *map(_authority_due, due.authorities)]
+    findings = [*requests, *map(_authority_due, due.authorities)]
     plan = in_step(run.crew, session, plan.noting(*findings, *dict.fromkeys(errors)))
     after = session.after(plan)
     done = frozenset(names)

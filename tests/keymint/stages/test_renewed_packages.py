@@ -23,8 +23,8 @@ NAMES = ("talker", "robot1/listener")
 
 
 def codes(ws: Path, *, rekey: bool = False) -> tuple[tuple[str, ...], list[str], list[str]]:
-    found = renewable_packages(session_of(ws), NAMES, rekey=rekey)
-    return found.names, [each.code for each in found.requests], [each.code for each in found.errors]
+    names, _, requests, errors = renewable_packages(session_of(ws), NAMES, rekey=rekey)
+    return tuple(names), [each.code for each in requests], [each.code for each in errors]
 
 
 def test_all_that_is_installed(ws: Path) -> None:
