@@ -9,7 +9,7 @@ no longer here.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from datetime import datetime
 from functools import partial
 
@@ -157,7 +157,7 @@ class _Question:
                 outliving.append((known.name, subject, excess, each.until))
         failed = {claim.model for claim in claims}
         excepted = dict.fromkeys(presentation.trusting_any_signer(), tuple(_signers(session, self.packages.values())))
-        universe = _universe(holders, documents)
+        universe = f"{len(holders)} certificates and {len({each.content for each in documents})} signed documents"
         claims += (
             Claim(each, _ACTION, (), universe, Proof.PROVEN, excepted=excepted.get(each, ()))
             for each in models
@@ -190,10 +190,6 @@ def _load(stamp: Stamp) -> tuple[datetime, _Answer] | None:
         return datetime.fromisoformat(at), (load_claims(stamp.outputs["claims"]), found)
     except (ValueError, TypeError, KeyError, IndexError):
         return None
-
-
-def _universe(holders: Sequence[Holder], documents: Sequence[PresentableDocument]) -> str:
-    return f"{len(holders)} certificates and {len({each.content for each in documents})} signed documents"
 
 
 def _packages(session: Session, build_type: str) -> Mapping[str, Package]:
@@ -286,7 +282,8 @@ def _holders(
     issuers = [(issuer_of(each), each) for each in authority_files.trusted_authorities(session)]
     seen: set[tuple[str, int]] = set()
     for certificate in _certificates(found.values()):
-        issuer = next((key for key, each in issuers if _is_issued(certificate, each)), None)
+        of_others = ((key, each) for key, each in issuers if each != certificate)
+        issuer = next((key for key, each in of_others if certificates.is_issued_by(certificate, each)), None)
         if issuer is None:
             continue
         seen.add((issuer, certificate.serial_number))
@@ -339,10 +336,6 @@ def _certificates(contents: Iterable[bytes]) -> Iterator[x509.Certificate]:
         except KeymintError:
             continue
         yield from bundle
-
-
-def _is_issued(certificate: x509.Certificate, authority: x509.Certificate) -> bool:
-    return certificate != authority and certificates.is_issued_by(certificate, authority)
 
 
 def _signers(session: Session, packages: Iterable[Package]) -> Iterator[str]:

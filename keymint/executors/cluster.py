@@ -22,7 +22,7 @@ import tempfile
 import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from datetime import datetime
 from functools import cache
 from pathlib import Path
@@ -178,30 +178,29 @@ _CREDENTIALS = ("DASK_DISTRIBUTED__COMM__TLS__CA_FILE", "…CLIENT__CERT", "…C
 
 
 class Cluster(Pool):
-    """A pool on an executor for bytes.
+    """A pool that sends bytes.
 
     Args:
         plugins: the installed plugins.
         now: the clock of the run, UTC.
-        executor: calls :func:`keymint.executors.cluster.carry_out` elsewhere.
+        submit: lets another machine call :func:`carry_out`.
         size: number of tasks that it carries out at a time.
         trusted: the user trusts the cluster like this machine.
     """
 
     shares_memory = False
 
-    def __init__(self, plugins: Plugins, now: datetime, executor: Executor, size: int, *, trusted: bool) -> None:
-        self._installed, self._now, self._executor = versions(plugins), now, executor
+    def __init__(
+        self, plugins: Plugins, now: datetime, submit: Callable[[bytes], Future[bytes]], size: int, *, trusted: bool
+    ) -> None:
+        self._installed, self._now, self._submit = versions(plugins), now, submit
         self.size = size
         self.trusted = trusted
 
     def map(self, work: Work[Task, Result], tasks: Iterable[Task]) -> Iterator[Result]:
         """See :meth:`keymint.executors.Pool.map`."""
-
-        def submit(task: Task) -> Future[bytes]:
-            return self._executor.submit(carry_out, request(work, task, self._now, self._installed))
-
-        for future in in_order(submit, tasks, PARTS_FOR_EACH * self.size):
+        requests = (request(work, task, self._now, self._installed) for task in tasks)
+        for future in in_order(self._submit, requests, PARTS_FOR_EACH * self.size):
             yield result_of(work, future.result(), self._installed)
 
 
@@ -248,11 +247,17 @@ def cluster(
             threads = sum(client.nthreads().values())
         except Exception as error:
             raise _lost(address, error) from error
-        executor = _DaskExecutor(client, address, PARTS_FOR_EACH * threads)
+        waiting = ThreadPoolExecutor(PARTS_FOR_EACH * threads)
+
+        def submit(content: bytes) -> Future[bytes]:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                return waiting.submit(_result, client, address, client.submit(carry_out, content, pure=False))
+
         try:
-            yield Cluster(plugins, now, executor, threads, trusted=trusted)
+            yield Cluster(plugins, now, submit, threads, trusted=trusted)
         finally:
-            executor.shutdown(wait=False, cancel_futures=True)
+            waiting.shutdown(wait=False, cancel_futures=True)
 
 
 def _parsed(address: str) -> tuple[str, str]:
@@ -317,32 +322,15 @@ def _lost(address: str, error: BaseException) -> KeymintError:
     )
 
 
-class _DaskExecutor(Executor):
-    """Submits to Dask; a thread waits for each task, so that a failure of any kind reaches the caller."""
-
-    def __init__(self, client: Client, address: str, most: int) -> None:
-        self._client = client
-        self._address = address
-        self._threads = ThreadPoolExecutor(most)
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """See :meth:`concurrent.futures.Executor.submit`."""
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            return self._threads.submit(self._wait, self._client.submit(fn, *args, **kwargs, pure=False))
-
-    def _wait(self, future: Any) -> Any:
-        try:
-            while True:
-                with contextlib.suppress(TimeoutError):
-                    return future.result(timeout=CONNECT_SECONDS)
-                self._client.wait_for_workers(1, CONNECT_SECONDS)
-        except BaseException as error:
-            raise _lost(self._address, error) from error
-
-    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """See :meth:`concurrent.futures.Executor.shutdown`."""
-        self._threads.shutdown(wait=wait, cancel_futures=cancel_futures)
+def _result(client: Client, address: str, future: Any) -> Any:
+    """Return the result of a task; a thread waits for each, so that a failure of any kind reaches the caller."""
+    try:
+        while True:
+            with contextlib.suppress(TimeoutError):
+                return future.result(timeout=CONNECT_SECONDS)
+            client.wait_for_workers(1, CONNECT_SECONDS)
+    except BaseException as error:
+        raise _lost(address, error) from error
 
 
 # -- a guard around the library --------------------------------------------------------------------------------------

@@ -4,17 +4,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future
+from concurrent.futures import Future
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import pytest
 from keymint_ros2_dds.emit import emission
 
 from keymint.api import BuildOptions, Environment
 from keymint.api.plugin_loader import Plugins
-from keymint.executors.cluster import Cluster
+from keymint.executors.cluster import Cluster, carry_out
 from keymint.pki.tokens.pin_sources import Pins
 from keymint.pki.tokens.token_sessions import Tokens
 from keymint.stages.build import BuildStage, compile_elsewhere
@@ -28,17 +27,17 @@ from tests.keymint.executors.key_material import key_material
 CLOCK = datetime.fromtimestamp(NOW, UTC)
 
 
-class Here(Executor):
+class Here:
     """Carries out requests at once, and keeps them."""
 
     def __init__(self, change: Callable[[bytes], bytes]) -> None:
         self.requests: list[bytes] = []
         self._change = change
 
-    def submit(self, fn: Any, /, *args: Any, **_: Any) -> Future[Any]:
-        self.requests += args
-        future: Future[Any] = Future()
-        future.set_result(self._change(fn(*args)))
+    def __call__(self, content: bytes) -> Future[bytes]:
+        self.requests.append(content)
+        future: Future[bytes] = Future()
+        future.set_result(self._change(carry_out(content)))
         return future
 
 
