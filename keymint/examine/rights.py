@@ -17,18 +17,7 @@ from cryptography import x509
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
-from keymint import __version__
-from keymint.api import (
-    Claim,
-    Holder,
-    LoadedPolicy,
-    Package,
-    PresentableDocument,
-    Presentation,
-    PresentationTask,
-    Proof,
-    Role,
-)
+from keymint import __version__, api
 from keymint.authority import authority_files
 from keymint.authority.authority_files import chains_digest
 from keymint.errors import KeymintError
@@ -57,10 +46,10 @@ _ACTION = "use of any signed document"
 
 _Outliving = tuple[str, str, str, datetime]
 """An earlier document that permits more than the policy: its package, whom, what, in words, and until when."""
-_Answer = tuple[tuple[Claim, ...], tuple[_Outliving, ...]]
+_Answer = tuple[tuple[api.Claim, ...], tuple[_Outliving, ...]]
 
 
-def presented_rights(session: Session, state: State, policy: LoadedPolicy, effort: ProofEffort) -> ProofResults:
+def presented_rights(session: Session, state: State, policy: api.LoadedPolicy, effort: ProofEffort) -> ProofResults:
     """Return the claims about all certificates in force and all signed documents of a workspace.
 
     Args:
@@ -104,12 +93,12 @@ class _Question:
     """What is asked about the documents of a build type; the attributes are those of :func:`presented_rights`."""
 
     session: Session
-    policy: LoadedPolicy
+    policy: api.LoadedPolicy
     effort: ProofEffort
-    presentation: Presentation
-    packages: Mapping[str, Package]
+    presentation: api.Presentation
+    packages: Mapping[str, api.Package]
 
-    def recorded(self, state: State, key: str) -> tuple[tuple[Claim, ...], tuple[_Outliving, ...], State]:
+    def recorded(self, state: State, key: str) -> tuple[tuple[api.Claim, ...], tuple[_Outliving, ...], State]:
         """Return the answer from the record if it depends on the same bytes, and the record to keep."""
         session, stamp = self.session, state.stamp(STAGE, key)
         inputs, context = self._inputs(), policy_digest(self.policy)
@@ -119,7 +108,7 @@ class _Question:
         ):  # earlier, documents may have been in force that are over by then
             return *known[1], state
         claims, outliving = self._answer()
-        if self.effort.standard_only or any(claim.proof is not Proof.PROVEN for claim in claims):
+        if self.effort.standard_only or any(claim.proof is not api.Proof.PROVEN for claim in claims):
             return claims, outliving, state
         outputs = {"claims": dump_claims(claims), "outliving": _dump(session.now, outliving)}
         return claims, outliving, state.updated(STAGE, {key: Stamp(inputs, outputs, context=context)})
@@ -140,11 +129,11 @@ class _Question:
         remembered = tuple(_remembered(session, each, content) for content, each in earlier.items())
         own = tuple(each for each in present if each.proven_for)
         documents = (*own, *remembered, *present)
-        task = PresentationTask(
+        task = api.PresentationTask(
             holders, documents, session.now, self.effort.states, self.effort.deadline(), session.vendors_of
         )
         models = presentation.choosers()[:1] if self.effort.standard_only else presentation.choosers()
-        claims: list[Claim] = []
+        claims: list[api.Claim] = []
         outliving: list[_Outliving] = []
         for each in presentation.excess(task):
             failing = [claim for claim in each.claims if claim.model in models]
@@ -159,7 +148,7 @@ class _Question:
         excepted = dict.fromkeys(presentation.trusting_any_signer(), tuple(_signers(session, self.packages.values())))
         universe = f"{len(holders)} certificates and {len({each.content for each in documents})} signed documents"
         claims += (
-            Claim(each, _ACTION, (), universe, Proof.PROVEN, excepted=excepted.get(each, ()))
+            api.Claim(each, _ACTION, (), universe, api.Proof.PROVEN, excepted=excepted.get(each, ()))
             for each in models
             if each not in failed
         )
@@ -192,9 +181,9 @@ def _load(stamp: Stamp) -> tuple[datetime, _Answer] | None:
         return None
 
 
-def _packages(session: Session, build_type: str) -> Mapping[str, Package]:
+def _packages(session: Session, build_type: str) -> Mapping[str, api.Package]:
     """Return the packages of subjects that a build type builds, by name."""
-    names = (name for name in session.packages() if session.role(name) is Role.SUBJECT)
+    names = (name for name in session.packages() if session.role(name) is api.Role.SUBJECT)
     found = (session.package(name, built=is_build_current(session, name)) for name in names)
     return {each.name: each for each in found if build_type in each.build_types}
 
@@ -228,8 +217,8 @@ def _files(session: Session) -> Mapping[str, bytes]:
 
 
 def _documents(
-    session: Session, presented: str, packages: Mapping[str, Package], found: Mapping[str, bytes]
-) -> Iterator[PresentableDocument]:
+    session: Session, presented: str, packages: Mapping[str, api.Package], found: Mapping[str, bytes]
+) -> Iterator[api.PresentableDocument]:
     """Yield the signed documents among some files.
 
     That in the enclave of a package, beside a certificate for the package's name, is verified and proven with it.
@@ -252,7 +241,7 @@ def _documents(
         if content not in verified:
             verified[content] = _signed(content, signers, verify=not owner)
         if signed := verified[content]:
-            yield PresentableDocument(signed.content, Origin(workspace.shown(path)), signed.lines_before, owner)
+            yield api.PresentableDocument(signed.content, Origin(workspace.shown(path)), signed.lines_before, owner)
 
 
 def _signed(content: bytes, signers: Iterable[bytes], *, verify: bool) -> SignedDocument | None:
@@ -265,17 +254,17 @@ def _signed(content: bytes, signers: Iterable[bytes], *, verify: bool) -> Signed
     return None
 
 
-def _remembered(session: Session, rights: SignedRights, content: bytes) -> PresentableDocument:
+def _remembered(session: Session, rights: SignedRights, content: bytes) -> api.PresentableDocument:
     where = Origin(f"{session.workspace.shown(session.workspace.register)} ({subject_of(rights.name)})")
-    return PresentableDocument(content, where)
+    return api.PresentableDocument(content, where)
 
 
 # -- whose certificates are in force ---------------------------------------------------------------------------------
 
 
 def _holders(
-    session: Session, policy: LoadedPolicy, packages: Mapping[str, Package], found: Mapping[str, bytes]
-) -> Iterator[Holder]:
+    session: Session, policy: api.LoadedPolicy, packages: Mapping[str, api.Package], found: Mapping[str, bytes]
+) -> Iterator[api.Holder]:
     """Yield the certificates in force: those among some files, and those of the register that are not here."""
     register, now = register_of(session), session.now
     ends: dict[str, datetime] = {}
@@ -308,10 +297,10 @@ def _holders(
         distro = package.distro if package else session.profile.distro
         rules = DeferredRules(subject, partial(_rules, policy, subject))
         # A subject whose package is gone has the rights that the policy gives it wherever others have theirs.
-        yield Holder(subject, name, end, rules, distro, package.grant.domains if package else everywhere)
+        yield api.Holder(subject, name, end, rules, distro, package.grant.domains if package else everywhere)
 
 
-def _rules(policy: LoadedPolicy, subject: str) -> tuple[Rule, ...]:
+def _rules(policy: api.LoadedPolicy, subject: str) -> tuple[Rule, ...]:
     return (policy.rules(subject) or SubjectRules(subject, ())).rules
 
 
@@ -338,7 +327,7 @@ def _certificates(contents: Iterable[bytes]) -> Iterator[x509.Certificate]:
         yield from bundle
 
 
-def _signers(session: Session, packages: Iterable[Package]) -> Iterator[str]:
+def _signers(session: Session, packages: Iterable[api.Package]) -> Iterator[str]:
     """Yield an exception if there are identities that can sign documents as older releases verify them."""
     both = signing_issuers(session)
     for package in packages if both else ():

@@ -8,13 +8,7 @@ from dataclasses import replace
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import counted, did_you_mean, first_few
-from keymint.api import (
-    InfrastructurePackage,
-    Issuance,
-    LoadedPolicy,
-    PackageType,
-    Role,
-)
+from keymint import api
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.names import ROOT, refuse_case_collisions, refuse_reserved, subject_of
@@ -35,7 +29,7 @@ from keymint.workspace.workspace import hidden_by, with_place
 STAGE = "create"
 
 
-def packages_to_create(session: Session, policy: LoadedPolicy) -> tuple[str, ...]:
+def packages_to_create(session: Session, policy: api.LoadedPolicy) -> tuple[str, ...]:
     """Return the packages of every subject that the policy names exactly, and all existing packages of subjects.
 
     Existing packages follow the policy even if it no longer names them: withdrawn permissions must not remain in their
@@ -46,7 +40,7 @@ def packages_to_create(session: Session, policy: LoadedPolicy) -> tuple[str, ...
     return tuple(sorted({*exact, *existing}.difference(session.infrastructure())))
 
 
-def stale(session: Session, policy: LoadedPolicy, names: Sequence[str]) -> Mapping[str, tuple[Diagnostic, ...]]:
+def stale(session: Session, policy: api.LoadedPolicy, names: Sequence[str]) -> Mapping[str, tuple[Diagnostic, ...]]:
     """Return the packages of subjects that differ from the policy, each with the errors that prevent its update.
 
     Args:
@@ -60,7 +54,7 @@ def stale(session: Session, policy: LoadedPolicy, names: Sequence[str]) -> Mappi
     stage = CreateStage(session, policy)
     refuse_case_collisions([*stage.existing, *names])
     differing: dict[str, tuple[Diagnostic, ...]] = {}
-    for name in (each for each in names if session.role(each) is Role.SUBJECT):
+    for name in (each for each in names if session.role(each) is api.Role.SUBJECT):
         try:
             each = stage.package(name)
         except KeymintError as error:  # a file that is no file, or too large
@@ -71,7 +65,7 @@ def stale(session: Session, policy: LoadedPolicy, names: Sequence[str]) -> Mappi
     return differing
 
 
-def refuse_named(policy: LoadedPolicy, infrastructure: Mapping[str, tuple[InfrastructurePackage, str]]) -> None:
+def refuse_named(policy: api.LoadedPolicy, infrastructure: Mapping[str, tuple[api.InfrastructurePackage, str]]) -> None:
     """Refuse a policy that names a package of infrastructure exactly.
 
     Raises:
@@ -102,7 +96,7 @@ class CreateStage:
 
     NAME = STAGE
 
-    def __init__(self, session: Session, policy: LoadedPolicy, *, force: bool = False, valid_for: str = "") -> None:
+    def __init__(self, session: Session, policy: api.LoadedPolicy, *, force: bool = False, valid_for: str = "") -> None:
         self._session = session
         self._valid_for = valid_for
         self._policy = policy
@@ -120,7 +114,7 @@ class CreateStage:
         """
         session, infrastructure = self._session, self._session.needed_infrastructure()
         refuse_named(self._policy, infrastructure)
-        others = {name for name in self.existing.intersection(names) if session.role(name) is not Role.SUBJECT}
+        others = {name for name in self.existing.intersection(names) if session.role(name) is not api.Role.SUBJECT}
         subjects = [name for name in names if name not in infrastructure and name not in others]
         refuse_case_collisions([*self.existing, *subjects, *infrastructure])
         reserved = [each for layout in session.layouts for each in layout.reserved]
@@ -208,7 +202,7 @@ class CreateStage:
         from keymint.life.workspace_register import register_of  # noqa: PLC0415 - imports cryptography, which takes 0.1 s
 
         generation = register_of(session).generation(name)
-        decided = package_type.with_issuance(Issuance(generation)) if generation else {}
+        decided = package_type.with_issuance(api.Issuance(generation)) if generation else {}
         return {file: content for file, content in decided.items() if file not in session.file_digests(name)}
 
     def _rules_digest(self, subject: str) -> str:
@@ -221,7 +215,7 @@ class CreateStage:
         session = self._session
         folder = session.workspace.src / name
         if name in self.existing:
-            if session.role(name) is Role.INFRASTRUCTURE:
+            if session.role(name) is api.Role.INFRASTRUCTURE:
                 return PackagePlan(name, Step(STAGE, name, Action.UNCHANGED))
             message = "the package is that of a subject, but a transport needs one of this name"
             help_ = f"remove src/{name}, or give the package of the transport another name in the profile"
@@ -235,7 +229,7 @@ class CreateStage:
         return PackagePlan(name, step, Stamp(self._inputs, _outputs(outputs)))
 
 
-def marker_last(package_type: PackageType, new: Mapping[str, bytes]) -> dict[str, File]:
+def marker_last(package_type: api.PackageType, new: Mapping[str, bytes]) -> dict[str, File]:
     """Return the files of a new package; the marker goes last: until then a later run sees no package."""
     ordered = sorted(new.items(), key=lambda item: item[0] == package_type.MARKER)
     return {file: File(content) for file, content in ordered}
@@ -245,7 +239,7 @@ def _outputs(digests: Mapping[str, str]) -> dict[str, str]:
     return {name: value for name, value in digests.items() if "/" not in name}
 
 
-def _nothing_applies(name: str, policy: LoadedPolicy, *, known: bool) -> Diagnostic:
+def _nothing_applies(name: str, policy: api.LoadedPolicy, *, known: bool) -> Diagnostic:
     subject = subject_of(name)
     message = f"no profile of the policy applies to {subject}"
     if known:
@@ -293,7 +287,7 @@ def _changed_packages(session: Session) -> list[str]:
     return sorted({*stale(session, policy, existing), *(new - set(existing))})
 
 
-def subjects_without_package(inputs: Inputs, policy: LoadedPolicy, known: Sequence[str]) -> tuple[Diagnostic, ...]:
+def subjects_without_package(inputs: Inputs, policy: api.LoadedPolicy, known: Sequence[str]) -> tuple[Diagnostic, ...]:
     """Return a finding on the subjects that the policy names exactly and that have no source package, if any.
 
     A workspace may deliberately create some subjects only. But without any package nothing is checked, and no verb may

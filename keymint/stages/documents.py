@@ -16,15 +16,7 @@ from pathlib import Path
 
 from comarmor.errors import Diagnostic
 from comarmor.regex import lazy_regex
-from keymint.api import (
-    Artifact,
-    AuthorityRole,
-    BuildOptions,
-    BuildResult,
-    BuildType,
-    Package,
-    SharedCredentials,
-)
+from keymint import api
 from keymint.authority.authorities import MintedAuthority
 from keymint.authority.authority_files import trusted_chains
 from keymint.errors import KeymintError
@@ -145,7 +137,7 @@ def _rebuild(name: str) -> str:
 _PATH = lazy_regex(r"[A-Za-z0-9_][A-Za-z0-9_.-]*(?:/[A-Za-z0-9_][A-Za-z0-9_.-]*)*")
 
 
-def build_shared(session: Session, name: str, options: BuildOptions) -> BuildResult:
+def build_shared(session: Session, name: str, options: api.BuildOptions) -> api.BuildResult:
     """Return the shared documents of a build type.
 
     Args:
@@ -168,7 +160,7 @@ def build_shared(session: Session, name: str, options: BuildOptions) -> BuildRes
 
 def sign_shared(
     session: Session, name: str, documents: Mapping[str, bytes], authorities: Mapping[str, MintedAuthority]
-) -> tuple[Mapping[str, Artifact], Mapping[str, bytes]]:
+) -> tuple[Mapping[str, api.Artifact], Mapping[str, bytes]]:
     """Return the files of shared documents to install by path relative to the install space, and the present ones.
 
     Args:
@@ -187,7 +179,7 @@ def sign_shared(
         role: [(each, authority_of(authorities, each.name, each.origin)) for each in of_role]
         for role, of_role in shared_roles(loaded, build_type).items()
     }
-    credentials = SharedCredentials(
+    credentials = api.SharedCredentials(
         {role: b"".join(dict.fromkeys(chains[wanted.name] for wanted, _ in each)) for role, each in roles.items()},
         Signers({role: minted for role, each in roles.items() for wanted, minted in each if wanted.signs}),
     )
@@ -202,13 +194,15 @@ def sign_shared(
     return artifacts, existing
 
 
-def shared_roles(loaded: Iterable[Package], build_type: BuildType) -> Mapping[str, tuple[AuthorityRole, ...]]:
+def shared_roles(
+    loaded: Iterable[api.Package], build_type: api.BuildType
+) -> Mapping[str, tuple[api.AuthorityRole, ...]]:
     """Return the authorities that packages have in each role, each name once.
 
     Raises:
         KeymintError: two packages have different authorities in a role that signs.
     """
-    roles: dict[str, dict[str, AuthorityRole]] = {}
+    roles: dict[str, dict[str, api.AuthorityRole]] = {}
     for package in loaded:
         for role in build_type.authorities(package):
             of_role = roles.setdefault(role.role, {})
@@ -288,7 +282,7 @@ def installed_documents(session: Session, build_type: str) -> Mapping[str, bytes
         return {}
     if built := session.state.stamp(BUILD, record_key(build_type)):
         return installed_shared(session, built.outputs)
-    made = build_shared(session, build_type, BuildOptions(allow_vendor_specific=True))
+    made = build_shared(session, build_type, api.BuildOptions(allow_vendor_specific=True))
     return installed_shared(session, made.documents)
 
 

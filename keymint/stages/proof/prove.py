@@ -10,18 +10,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import replace
 
 from comarmor.errors import Defects, Diagnostic
-from keymint import __version__
-from keymint.api import (
-    Claim,
-    LoadedPolicy,
-    Package,
-    Proof,
-    ProofTask,
-    Prover,
-    Role,
-    SharedProofTask,
-    ValidityTerm,
-)
+from keymint import __version__, api
 from keymint.authority.authority_files import chains_digest
 from keymint.errors import KeymintError
 from keymint.executors import Pool
@@ -45,14 +34,14 @@ NO_PROVER = "proof-unsupported"
 """Code of the finding on an enclave whose build type proves nothing."""
 
 
-def policy_digest(policy: LoadedPolicy) -> str:
+def policy_digest(policy: api.LoadedPolicy) -> str:
     """Return the digest of the files that a policy was read from."""
     return digest(*(f"{path} {value.hex()}" for path, value in sorted(policy.seen.items())))
 
 
 def proofs(
     session: Session,
-    policy: LoadedPolicy,
+    policy: api.LoadedPolicy,
     effort: ProofEffort,
     names: Sequence[str],
     on_enclave: Callable[[str], None],
@@ -99,7 +88,9 @@ class ProofStage:
 
     NAME = STAGE
 
-    def __init__(self, session: Session, policy: LoadedPolicy, effort: ProofEffort, *, unsigned: bool = False) -> None:
+    def __init__(
+        self, session: Session, policy: api.LoadedPolicy, effort: ProofEffort, *, unsigned: bool = False
+    ) -> None:
         self._session = session
         self._policy = policy
         self._effort = effort
@@ -108,7 +99,7 @@ class ProofStage:
         self._chains_digest = chains_digest(session)
         workspace = session.workspace
         self._shared_folder = workspace.shown(workspace.build / SHARED if unsigned else workspace.install)
-        self._asked: list[tuple[Prover, object]] | None = None
+        self._asked: list[tuple[api.Prover, object]] | None = None
         """What other machines are to prove; None while it is proven here."""
 
     def results(self, proven: Sequence[EnclaveProof]) -> ProofResults:
@@ -187,7 +178,7 @@ class ProofStage:
         rules = {subject: self._rules(subject) for subject in subjects}
         try:
             packages = package_build_types.load_packages(session, name)
-            task = SharedProofTask(
+            task = api.SharedProofTask(
                 packages,
                 rules,
                 enclaves,
@@ -220,7 +211,7 @@ class ProofStage:
         proof = replace(proof, build_types=stamp.build_types)
         if self._effort.standard_only:
             return proof
-        if proof.diagnostics or any(claim.proof is not Proof.PROVEN for claim in proof.claims):
+        if proof.diagnostics or any(claim.proof is not api.Proof.PROVEN for claim in proof.claims):
             return replace(proof, refuted=True)
         stamp = replace(stamp, outputs=proof_results.dump_proof(proof.claims, proof.terms, rules, folder))
         return replace(proof, stamp=self._of_policy(stamp, [each.subject for each in rules]))
@@ -250,12 +241,14 @@ class ProofStage:
         workspace = self._session.workspace
         return workspace.shown(workspace.build / name if self._unsigned else self._session.enclave(name))
 
-    def _proof(self, package: Package, rules: SubjectRules, files: Mapping[str, bytes], folder: str) -> EnclaveProof:
+    def _proof(
+        self, package: api.Package, rules: SubjectRules, files: Mapping[str, bytes], folder: str
+    ) -> EnclaveProof:
         subject = package.subject
         if not files:
             return EnclaveProof(package.name, subject, diagnostics=(not_installed(package.name, folder),))
-        claims: list[Claim] = []
-        validity: list[ValidityTerm] = []
+        claims: list[api.Claim] = []
+        validity: list[api.ValidityTerm] = []
         defects = Defects()
         build_types = package_build_types.build_types_of(self._session, package)
         for name, build_type in build_types.items():
@@ -265,7 +258,7 @@ class ProofStage:
                 defects.found.append(Diagnostic.error(NO_PROVER, message, marker))
                 continue
             with defects:
-                task = ProofTask(
+                task = api.ProofTask(
                     package,
                     rules,
                     files,
@@ -287,13 +280,13 @@ class ProofStage:
         periods = tuple(dict.fromkeys(validity))
         return EnclaveProof(package.name, subject, tuple(claims), diagnostics=of_subject, terms=periods)
 
-    def _claims(self, prover: Prover, task: ProofTask) -> Sequence[Claim]:
+    def _claims(self, prover: api.Prover, task: api.ProofTask) -> Sequence[api.Claim]:
         """Return the claims about an enclave; the policy grants nothing to infrastructure, which must be ours though.
 
         Raises:
             KeymintError: the enclave cannot be read, or the anchors do not vouch for it.
         """
-        if task.package.role is Role.SUBJECT:
+        if task.package.role is api.Role.SUBJECT:
             if self._asked is None:
                 with self._effort.limit(task.rules.rules):
                     return prover.prove(task)
@@ -314,11 +307,11 @@ class ProofStage:
 
     def _rules(self, subject: str) -> SubjectRules:
         """Return the policy's rules for a subject; none for infrastructure, even if a profile is for every subject."""
-        of_subject = self._session.role(name_of(subject)) is Role.SUBJECT
+        of_subject = self._session.role(name_of(subject)) is api.Role.SUBJECT
         return (self._policy.rules(subject) if of_subject else None) or SubjectRules(subject, ())
 
 
-def _with_rules(claims: Iterable[Claim], rules: Iterable[SubjectRules]) -> tuple[Claim, ...]:
+def _with_rules(claims: Iterable[api.Claim], rules: Iterable[SubjectRules]) -> tuple[api.Claim, ...]:
     """Return claims; those that took too many steps also name the rules that are likely to blame."""
     if not any(each.spent for each in claims):
         return tuple(claims)
