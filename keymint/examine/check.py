@@ -1,22 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compare the installed keystore with its expected state: ``keymint check``.
 
-The build type checks the content of an enclave. This package checks the workspace: modes, the record of installed
-files, unexpected files, authorities, and the files that all enclaves share.
+The build type checks the content of an enclave. This package checks the workspace: the key of each enclave, its files on
+the disk, the record of installed files, unexpected files, authorities, and the files that all enclaves share.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import field, replace
 from datetime import timedelta
 from functools import partial
 from typing import Any
 
-from comarmor.errors import Diagnostic
+from comarmor.errors import Diagnostic, Severity
 from comarmor.regex import lazy_regex
-from keymint.api import Inspection
+from comarmor.values import dataclass
+from keymint.api import BuildOptions, BuildType, Inspection, Package
 from keymint.api.plugin_loader import Plugins
+from keymint.authority.authority_files import trusted_chains
 from keymint.errors import KeymintError
 from keymint.examine.authorities import (
     authorities,
@@ -26,14 +28,245 @@ from keymint.examine.authorities import (
     git_exposure,
     in_defect,
 )
-from keymint.examine.enclaves import LoadedEnclave, examine, load
-from keymint.examine.files import file_status, outside_enclaves
+from keymint.examine.files import (
+    changed_file,
+    file_status,
+    link,
+    linked_twice,
+    modes,
+    outside_enclaves,
+    unexpected_file,
+    unrecorded_note,
+)
 from keymint.examine.keystore import deciding_findings, staged_keystore_session
 from keymint.executors import Pool
+from keymint.life.workspace_register import withdrawn
+from keymint.names import subject_of
+from keymint.pki import key_files, keys
 from keymint.stages import identity_keys
+from keymint.stages.documents import built_documents
 from keymint.stages.identity_keys import Keyring
-from keymint.workspace.installed_enclaves import orphan_findings, with_sources
+from keymint.stages.proof.trust_anchors import unvouched
+from keymint.store.changes import file_mode
+from keymint.view.stamps import digest
+from keymint.workspace.installed_enclaves import (
+    INSTALLED,
+    KEY,
+    enclave_files,
+    files_in,
+    not_installed,
+    orphan_findings,
+    with_sources,
+)
+from keymint.workspace.package_build_types import BUILD, build_types_of, is_build_current
 from keymint.workspace.session import Session
+from keymint.workspace.stored_keys import key_defects
+
+Inspections = Mapping[str, tuple[BuildType, Inspection]]
+"""What each build type of a package sees of its enclave."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedEnclave:
+    """A package, and the files of its enclave.
+
+    Attributes:
+        package: the package; None if it has defects.
+        files: the files by name.
+        unread: findings on files that cannot be read, or the defects of the package.
+        seen: what each build type sees of it.
+    """
+
+    package: Package | None
+    files: Mapping[str, bytes] = field(default_factory=dict, repr=False)
+    unread: tuple[Diagnostic, ...] = ()
+    seen: Inspections = field(default_factory=dict)
+
+    @property
+    def is_absent(self) -> bool:
+        """Whether there is no enclave."""
+        return not self.files and not self.unread
+
+
+def load(session: Session, name: str, within: timedelta) -> LoadedEnclave:
+    """Load a package and its enclave.
+
+    Args:
+        session: the workspace and its profile.
+        name: the package.
+        within: report what expires within this time.
+    """
+    try:
+        package = session.package(name, built=is_build_current(session, name))
+        files, unreadable = enclave_files(session, name)
+        unread = tuple(each for each in unreadable if each.code != "symlink-refused")  # reported with the modes
+        return LoadedEnclave(package, files, unread, _inspections(session, package, files, within))
+    except KeymintError as error:
+        return LoadedEnclave(None, unread=tuple(error.diagnostics))
+
+
+def examine(
+    session: Session, loaded: LoadedEnclave, keyring: identity_keys.Keyring
+) -> tuple[str, str, tuple[Diagnostic, ...]]:
+    """Check one enclave, and what of it the authorities of the workspace do not vouch for.
+
+    Args:
+        session: the workspace and its profile.
+        loaded: the enclave.
+        keyring: the known keys of all subjects and authorities.
+
+    Returns:
+        The package, the fingerprint of its key (empty if it cannot be read), and the findings.
+    """
+    package = loaded.package
+    if package is None:
+        return "", "", loaded.unread
+    fingerprint, findings = _identity_key(session, package, keyring)
+    found = (
+        *findings,
+        *([_absent(session, package.name)] if loaded.is_absent else _of_files(session, package, loaded)),
+    )
+    known = {(each.code, each.where) for each in found}
+    try:
+        more = dict.fromkeys(unvouched(session, package))
+        foreign = tuple(each for each in more if (each.code, each.where) not in known)
+    except KeymintError:  # of documents of several packages, which are reported
+        foreign = ()
+    return package.name, fingerprint, (*found, *foreign)
+
+
+def _of_files(session: Session, package: Package, loaded: LoadedEnclave) -> Iterator[Diagnostic]:
+    """Yield the findings on the files of an enclave, and those of its build types."""
+    yield from loaded.unread
+    yield from _on_disk(session, package.name, loaded.files)
+    known = frozenset[str]().union(*(own.files for _, own in loaded.seen.values()))
+    for file in sorted(loaded.files.keys() - known):
+        message = f"does not belong to the layout {session.profile.layout!r}"
+        yield unexpected_file(session, session.enclave(package.name) / file, message, package.subject)
+    unread = {each.where for each in loaded.unread}
+    for each in dict.fromkeys(each for build_type, own in loaded.seen.values() for each in build_type.check(own)):
+        if each.code != "file-missing" or each.where not in unread:
+            yield each
+
+
+def _absent(session: Session, name: str) -> Diagnostic:
+    """Return the finding on a package without an enclave."""
+    reason = withdrawn(session).get(name)
+    if reason is None:
+        return not_installed(name, session.workspace.shown(session.enclave_folder(name)))
+    message = f"the certificate of {subject_of(name)} was revoked ({reason}), and its enclave removed"
+    help_ = f"'keymint renew --rekey {name}' makes a new key and certificate"
+    return Diagnostic.note("identity-revoked", message, None, help_, subject_of(name))
+
+
+def _inspections(session: Session, package: Package, files: Mapping[str, bytes], within: timedelta) -> Inspections:
+    """Return what each build type needs to check the enclave of a package, by its name.
+
+    Raises:
+        KeymintError: the package has defects.
+    """
+    build_types = build_types_of(session, package)
+    recorded = _recorded(session, package.name) if len(build_types) == 1 else None  # which does not say whose each is
+    chains = trusted_chains(session)
+    folder, layout = session.workspace.shown(session.enclave_folder(package.name)), session.profile.layout
+    found: dict[str, tuple[BuildType, Inspection]] = {}
+    for name, build_type in build_types.items():
+        own = build_type.files(layout)
+        inspection = Inspection(
+            package=package,
+            documents=_built(build_type, package) if recorded is None else recorded,
+            files={file: content for file, content in files.items() if file in own},
+            folder=folder,
+            layout=layout,
+            chains={role.role: chains.get(role.name, b"") for role in build_type.authorities(package)},
+            now=session.now,
+            within_days=within / timedelta(days=1),
+        )
+        found[name] = build_type, inspection
+    return found
+
+
+def _recorded(session: Session, name: str) -> Mapping[str, bytes] | None:
+    """Return the built documents of a package if the record has their digests and that of its sources, else None."""
+    stamp = session.state.stamp(BUILD, name)
+    if stamp is None or not is_build_current(session, name):
+        return None
+    documents = built_documents(session, name)
+    return documents if {file: digest(content) for file, content in documents.items()} == stamp.outputs else None
+
+
+def _built(build_type: BuildType, package: Package) -> Mapping[str, bytes]:
+    """Return the documents of the sources; differences between vendors were accepted when the package was built.
+
+    Raises:
+        KeymintError: the package has defects.
+    """
+    return build_type.build(package, BuildOptions(allow_vendor_specific=True)).documents
+
+
+def _identity_key(
+    session: Session, package: Package, keyring: identity_keys.Keyring
+) -> tuple[str, tuple[Diagnostic, ...]]:
+    """Return the fingerprint of a package's key (empty if it cannot be read), and the findings on it.
+
+    Args:
+        session: the workspace and its profile.
+        package: the package.
+        keyring: the known keys of all subjects and authorities.
+    """
+    path, subject = session.workspace.identity_key(package.name), subject_of(package.name)
+    fingerprint = ""
+    try:
+        pem = session.tree.read(path)
+        if session.tree.is_left_out(path) and not package.issuance.public_key:
+            return "", ()
+        if pem is None and not package.issuance.public_key and not package.identity.key.uri:
+            message = f"the private key of {subject} is not here"
+            where, help_ = session.workspace.origin(path), f"'keymint build {package.name}' restores it"
+            return "", (Diagnostic.note("key-missing", message, where, help_, subject),)
+        key = identity_keys.public_key(session, package)
+        fingerprint = keys.fingerprint(key)
+        keyring.require_own(package, key)
+        if pem is not None and package.issuance.public_key:
+            message = f"is a private key of {subject}, whose certificate is for a key elsewhere: nothing uses this one"
+            where, help_ = session.workspace.origin(path), "remove it, once no installed enclave uses it"
+            return fingerprint, (Diagnostic.warning("key-unused", message, where, help_, subject),)
+    except KeymintError as error:
+        return fingerprint, tuple(key_defects(error, subject))
+    return fingerprint, ()
+
+
+def _link(session: Session, name: str, path: str) -> Diagnostic:
+    """Return the finding on a link within the keystore, which a tool that made the enclave may have meant."""
+    found = link(session, path, subject_of(name))
+    help_ = f"copy what it leads to as well ('cp -L', 'rsync -L'), or {found.help}"
+    return replace(found, severity=Severity.NOTE, help=help_) if session.package(name).kept else found
+
+
+def _on_disk(session: Session, name: str, files: Mapping[str, bytes]) -> Iterator[Diagnostic]:
+    """Check modes, links and recorded digests of one enclave."""
+    folder, subject = session.enclave_folder(name), subject_of(name)
+    stamp = session.state.stamp(INSTALLED, name)
+    secret = stamp.secret if stamp else (KEY,)
+    yield from modes(session, folder, 0o700, subject)
+    for file in files_in(session, name):
+        path = f"{folder}/{file}"
+        is_secret = file in secret or key_files.has_any(files.get(file, b""))
+        is_other = stamp is not None and file not in stamp.outputs
+        for each in modes(session, path, file_mode(secret=is_secret), subject):
+            if not is_other or each.code != "file-mode" or each.severity is Severity.ERROR:  # hidden ones may stay so
+                yield each
+        if session.tree.follows(path):
+            yield _link(session, name, path)
+        if file in secret:
+            yield from linked_twice(session, path, subject)
+    if stamp is None:
+        yield unrecorded_note(f"what was installed as {subject}", subject)
+        return
+    for file, value in stamp.outputs.items():
+        if file in files and session.tree.digest(f"{folder}/{file}") != value:
+            yield changed_file(session, f"{folder}/{file}", f"'keymint install {name}' restores it", subject)
+
 
 LEAST = 64
 """Enclaves that are worth a process of their own."""

@@ -23,7 +23,6 @@ from keymint.command_line.options import (
 from keymint.command_line.verb import verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.examine import keystore
-from keymint.examine.enclaves import differences
 from keymint.life import terms
 from keymint.life.workspace_register import has_register, with_enclaves
 from keymint.output.json import line_json
@@ -32,6 +31,7 @@ from keymint.run.run import Run
 from keymint.stages.create import subjects_without_package
 from keymint.stages.proof.proof_results import STATES, EnclaveProof, ProofEffort, ProofResults, proof_findings
 from keymint.stages.proof.prove import NO_PROVER, STAGE
+from keymint.stages.proof.trust_anchors import differences
 from keymint.store.changes import Action, Step
 from keymint.workspace.installed_enclaves import orphan_findings
 from keymint.workspace.policy_loading import lazy_policy

@@ -20,7 +20,6 @@ from keymint.command_line.named_policies import workspace_library_rules
 from keymint.command_line.options import FILE, PATH, packages_argument, transport_option, vendors_of_option
 from keymint.command_line.verb import verb
 from keymint.command_line.verify_report import labelled_edges, write_report
-from keymint.examine.enclaves import differences
 from keymint.life.workspace_register import with_enclaves
 from keymint.output.json import comparisons_json
 from keymint.output.junit import junit as junit_document
@@ -28,6 +27,7 @@ from keymint.output.mismatches import SARIF_RULES, diagnostics, enumeration, jun
 from keymint.output.report import Report, findings_if
 from keymint.output.sarif import sarif as sarif_log
 from keymint.run.run import Run
+from keymint.stages.proof.trust_anchors import differences
 from keymint.store.changes import Action, Step
 from keymint.verify.compare import Asking
 from keymint.verify.copies import enclave_copies

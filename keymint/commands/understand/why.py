@@ -15,7 +15,6 @@ from keymint.api import DomainRange, Tier, Verdict
 from keymint.api.graph import LABELLED
 from keymint.command_line.options import kind_option, transport_option
 from keymint.command_line.verb import verb
-from keymint.examine.enclaves import differences
 from keymint.names import name_of
 from keymint.output.json import decision_json, edge_json, place_json, verdict_json
 from keymint.output.mismatches import (
@@ -28,6 +27,7 @@ from keymint.output.mismatches import (
 )
 from keymint.output.report import Report, findings_if, members
 from keymint.run.run import Run
+from keymint.stages.proof.trust_anchors import differences
 from keymint.verify.usable_transports import choose, models
 from keymint.verify.why import Explanation, MatchedRule, Need, explain, request, source_package
 from keymint.workspace.policy_loading import load_policy

@@ -8,8 +8,9 @@ more than one certificate, nothing that rests on it is claimed. Enclaves are no 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 
 from comarmor.errors import Defects, Diagnostic
 from keymint.api import BuildType, Package, TrustAnchor, TrustAnchors
@@ -18,9 +19,9 @@ from keymint.authority.authority_files import AuthorityFiles, trusted_chains
 from keymint.errors import KeymintError
 from keymint.pki import certificates
 from keymint.pki.keys import PublicKey
-from keymint.stages.documents import shared_roles
-from keymint.workspace.installed_enclaves import INSTALLED
-from keymint.workspace.package_build_types import is_build_current, issuers_of, suffixes_read
+from keymint.stages.documents import installed_documents, shared_roles
+from keymint.workspace.installed_enclaves import INSTALLED, enclave_files
+from keymint.workspace.package_build_types import build_types_of, is_build_current, issuers_of, suffixes_read
 from keymint.workspace.session import Inputs, Session, once
 
 
@@ -131,3 +132,32 @@ def _key(inputs: Inputs, files: AuthorityFiles) -> PublicKey | None:
             stored = authority_files.stored_key(inputs, files.authority, files.name)
             return stored[1].public_key() if stored else None
     return None
+
+
+def differences(session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...]:
+    """Return the findings on enclaves that do not rest on the workspace's authorities.
+
+    Enclaves that are not installed, or whose build type cannot tell, have none.
+
+    Raises:
+        KeymintError: a package has defects.
+    """
+    there = [name for name in names if any(enclave_files(session, name))]
+    packages = (session.package(name, built=is_build_current(session, name)) for name in there)
+    return tuple(dict.fromkeys(each for package in packages for each in unvouched(session, package)))
+
+
+def unvouched(session: Session, package: Package) -> Iterator[Diagnostic]:
+    """Yield the findings on an enclave, of which some file is there, that does not rest on the authorities."""
+    files, unread = enclave_files(session, package.name)
+    yield from unread_of(session, package, unread)
+    if not files:
+        return
+    yield from contradictions_for(session, package.name)
+    workspace = session.workspace
+    folder, install = workspace.shown(session.enclave_folder(package.name)), workspace.shown(workspace.install)
+    for build_type, plugin in build_types_of(session, package).items():
+        if prover := plugin.prover:
+            anchors, shared = anchors_of(session, package, plugin), installed_documents(session, build_type)
+            found = prover.differences(files, folder, anchors, shared, install)
+            yield from (replace(each, subject=package.subject) for each in found)

@@ -13,7 +13,7 @@ import pytest
 from keymint_ros import permissions
 from keymint_ros2_dds import DdsSecurity
 
-from keymint.examine import enclaves
+from keymint.examine import check
 from keymint.executors.pool import Processes, divide
 from tests.conftest import NOW, snapshot
 
@@ -175,7 +175,7 @@ CHANGES = [
 def test_what_is_recorded_is_as_if_it_were_built(keymint, provisioned: Path, change: Callable[[Path], None]) -> None:
     change(provisioned)
     outcome = keymint("check", "--json", cwd=provisioned)
-    with mock.patch.object(enclaves, "is_build_current", return_value=False) as recorded:
+    with mock.patch.object(check, "is_build_current", return_value=False) as recorded:
         built = keymint("check", "--json", cwd=provisioned)
     assert recorded.called
     assert (outcome.code, outcome.out, outcome.err) == (built.code, built.out, built.err)
