@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compare the installed keystore with its expected state: ``keymint check``.
 
-The build type checks the content of an enclave. This package checks the workspace: the key of each enclave, its files on
-the disk, the record of installed files, unexpected files, authorities, and the files that all enclaves share.
+The build type checks the content of an enclave. This package checks the workspace: the key of each enclave, its files
+on the disk, the record of installed files, unexpected files, authorities, and the files that all enclaves share.
 """
 
 from __future__ import annotations
