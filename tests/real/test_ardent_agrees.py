@@ -15,7 +15,7 @@ from keymint_ros2_dds import build_type
 from keymint.api import BuildOptions, Validity
 from tests.effort import tries
 from tests.plugins.keymint_ros2_dds.compiling.test_grant_compiler import built_or_refused
-from tests.plugins.keymint_ros2_dds.lowering.test_ardent_names import ASKED, TOPICS, drawn_rules, permitted
+from tests.plugins.keymint_ros2_dds.lowering.test_name_mapping_ardent import ASKED, TOPICS, drawn_rules, permitted
 from tests.plugins.keymint_ros2_dds.packages import package
 
 from .agreement import access, participant

@@ -21,7 +21,7 @@ from keymint.errors import KeymintError
 from keymint_ros2_dds.enclave_layout import GOVERNANCE, GOVERNANCE_XML
 from keymint_ros2_dds.reading import dialects
 from keymint_ros2_dds.reading.dialects import PLAIN, REFUSES, UNMODELLED, Quirk
-from keymint_ros2_dds.reading.signed_permissions import DocumentDomains, defects_in_file
+from keymint_ros2_dds.reading.signed_permissions import DocumentDomains, defects_in_file, document_domains, raw_text
 
 ACCESS = {"publish": "enable_write_access_control", "subscribe": "enable_read_access_control"}
 """The element that puts an action under access control."""
@@ -32,6 +32,8 @@ TOPIC_PROTECTIONS = (
 )  # fmt: skip
 _BOOLEANS = {"true": True, "1": True, "false": False, "0": False}
 _BLANKS = " \t\r\n"
+_NOWHERE = DocumentDomains(None, None)
+"""What is read of text that is no domain id; the schema refuses it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +173,7 @@ def _read(content: bytes) -> GovernanceDocument:
 
 def _domain_rule(element: etree._Element) -> DocumentDomainRule:
     return DocumentDomainRule(
-        tuple(_domains(element.find("domains"))),
+        tuple(each for each in document_domains(element.find("domains"), _number) if each != _NOWHERE),
         _is_true(element, JOIN),
         _is_true(element, UNAUTHENTICATED, otherwise=False),
         tuple(_text(element.find(tag)) for tag in DOMAIN_PROTECTIONS),
@@ -183,7 +185,7 @@ def _domain_rule(element: etree._Element) -> DocumentDomainRule:
 
 def _topic_rule(element: etree._Element) -> DocumentTopicRule:
     return DocumentTopicRule(
-        _raw(element.find("topic_expression")),
+        raw_text(element.find("topic_expression")),
         _is_true(element, ACCESS["subscribe"]),
         _is_true(element, ACCESS["publish"]),
         tuple(_text(element.find(tag)) for tag in TOPIC_PROTECTIONS),
@@ -191,27 +193,13 @@ def _topic_rule(element: etree._Element) -> DocumentTopicRule:
     )
 
 
-def _domains(element: etree._Element | None) -> Iterator[DocumentDomains]:
-    for child in () if element is None else element:
-        if child.tag == "id" and (number := _number(child)) is not None:
-            yield DocumentDomains(number, number)
-        elif child.tag == "id_range":
-            first, last = (_number(child.find(tag)) for tag in ("min", "max"))
-            if first is not None or last is not None:
-                yield DocumentDomains(first, last)
-
-
 def _number(element: etree._Element | None) -> int | None:
     text = _text(element)
     return int(text) if re.fullmatch(r"\+?[0-9]{1,4000}", text, re.ASCII) else None
 
 
-def _raw(element: etree._Element | None) -> str:
-    return "" if element is None else element.text or ""
-
-
 def _text(element: etree._Element | None) -> str:
-    return _raw(element).strip(_BLANKS)
+    return raw_text(element).strip(_BLANKS)
 
 
 def _is_true(element: etree._Element, tag: str, *, otherwise: bool = True) -> bool:
@@ -226,7 +214,7 @@ def _quirks(content: bytes, root: etree._Element) -> Iterator[Quirk]:
         yield Quirk(quirk.line, quirk.text, UNMODELLED, UNMODELLED)
     yield from dialects.quirks_of_domain_ids(root)
     for element in root.iter():
-        text = _raw(element)
+        text = raw_text(element)
         if len(element):
             continue
         if text != text.strip(_BLANKS):

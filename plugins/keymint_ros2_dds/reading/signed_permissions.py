@@ -7,7 +7,7 @@ Documents that the schema does not allow are read as well, since vendors accept 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import cache, lru_cache
 from itertools import chain
@@ -253,17 +253,17 @@ def _crashes(root: etree._Element) -> Iterator[Quirk]:
                 yield Quirk(line(element), "a range of domains without a minimum", CRASHES, PLAIN)
         for action in ("publish", "subscribe"):
             for element in rule.iterfind(f"{action}/topics/topic"):
-                if not _text(element).strip(BLANKS):
+                if not raw_text(element).strip(BLANKS):
                     yield Quirk(line(element), "an empty topic", CRASHES, PLAIN)
     for element in root.iter("default"):
-        if not _text(element).strip(BLANKS):
+        if not raw_text(element).strip(BLANKS):
             yield Quirk(line(element), "an empty <default>", CRASHES, PLAIN)
 
 
 def _quirks(root: etree._Element) -> Iterator[Quirk]:
     """Yield the quirks of the texts of a document that its schema allows."""
     for element in root.iter("subject_name", "not_before", "not_after", "topic", "partition"):
-        text = _text(element)
+        text = raw_text(element)
         bare = text.strip(BLANKS)
         if element.tag == "subject_name":
             if not bare:
@@ -279,43 +279,45 @@ def _quirks(root: etree._Element) -> Iterator[Quirk]:
                 yield Quirk(line(element), "an empty topic", PLAIN, REFUSES)
 
 
-def _text(element: etree._Element | None) -> str:
+def raw_text(element: etree._Element | None) -> str:
+    """Return the text of an element as it is written; empty if there is no such element."""
     return "" if element is None else element.text or ""
 
 
 def _grant(element: etree._Element) -> DocumentGrant:
     return DocumentGrant(
-        _text(element.find("subject_name")),
-        _text(element.find("validity/not_before")),
-        _text(element.find("validity/not_after")),
+        raw_text(element.find("subject_name")),
+        raw_text(element.find("validity/not_before")),
+        raw_text(element.find("validity/not_after")),
         tuple(_rule(child) for child in element if child.tag in _RULES),
-        _text(element.find("default")) == "ALLOW",
+        raw_text(element.find("default")) == "ALLOW",
         line(element),
     )
 
 
 def _rule(element: etree._Element) -> DocumentRule:
-    domains = element.find("domains")
     return DocumentRule(
         element.tag == "allow_rule",
-        () if domains is None else tuple(_domains(domains)),
+        tuple(document_domains(element.find("domains"), _number)),
         tuple(_criteria(child) for child in element if child.tag in ACTIONS),
         line(element),
     )
 
 
-def _domains(domains: etree._Element) -> Iterator[DocumentDomains]:
-    for element in domains:
+def document_domains(
+    domains: etree._Element | None, number: Callable[[etree._Element], int | None]
+) -> Iterator[DocumentDomains]:
+    """Yield the ranges of a ``<domains>``; ``number`` reads the text of an element, or returns None."""
+    for element in () if domains is None else domains:
         if element.tag == "id":
-            number = _number(element)
-            yield DocumentDomains(number, number)
+            yield DocumentDomains(number(element), number(element))
         elif element.tag == "id_range":
-            ends = {str(end.tag): _number(end) for end in element if end.tag in {"min", "max"}}
+            ends = {str(end.tag): number(end) for end in element if end.tag in {"min", "max"}}
             yield DocumentDomains(ends.get("min"), ends.get("max"))
 
 
 def _number(element: etree._Element) -> int:
-    text = _text(element).strip(BLANKS)
+    text = raw_text(element).strip(BLANKS)
     if _NUMBER.fullmatch(text) is None:
         where = Origin("", line(element))
         raise KeymintError(f"{quoted(text)} is no domain id, expected a whole number", where=where, code="domains")
@@ -326,10 +328,10 @@ def _criteria(element: etree._Element) -> DocumentCriteria:
     partitions, tags = element.find("partitions"), element.find("data_tags")
     return DocumentCriteria(
         str(element.tag),
-        tuple(map(_text, element.iterfind("topics/topic"))),
-        None if partitions is None else tuple(map(_text, partitions.iterfind("partition"))),
+        tuple(map(raw_text, element.iterfind("topics/topic"))),
+        None if partitions is None else tuple(map(raw_text, partitions.iterfind("partition"))),
         None
         if tags is None
-        else tuple((_text(tag.find("name")), _text(tag.find("value"))) for tag in tags.iterfind("tag")),
+        else tuple((raw_text(tag.find("name")), raw_text(tag.find("value"))) for tag in tags.iterfind("tag")),
         line(element),
     )

@@ -7,7 +7,7 @@ import pytest
 from keymint_ros2_dds.reading.signed_governance import GovernanceDocument, read
 
 from keymint.errors import KeymintError
-from tests.plugins.keymint_ros2_dds.decision.test_endpoint_access import CLOSED, ruling, topic
+from tests.plugins.keymint_ros2_dds.decision.test_evaluator_governance import CLOSED, ruling, topic
 
 USUAL = ruling(CLOSED)
 

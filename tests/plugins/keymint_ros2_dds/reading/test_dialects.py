@@ -15,9 +15,8 @@ from keymint_ros2_dds.vendors import probe_builds
 from comarmor.patterns.tokens import Dialect
 from keymint.host.vendor_process import MissingVendorError
 from tests.effort import tries
-
-from .cyclone_matcher import ac_fnmatch
-from .cyclone_reference import cyclone_regex
+from tests.plugins.keymint_ros2_dds.decision.cyclone_matcher import ac_fnmatch
+from tests.plugins.keymint_ros2_dds.decision.cyclone_reference import cyclone_regex
 
 PIECES = st.sampled_from([*"ab-]/*?[!^\\", "[ab]", "[!a]", "[a-b]", "[^a]", "[[:alpha:]]", "[]a]", "[!]", "rt/"])
 PATTERNS = st.lists(PIECES, max_size=6).map("".join)
