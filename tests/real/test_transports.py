@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from keymint_ros2_dds.transports import real_cyclonedds
 from keymint_ros2_dds.transports.enclave_model import Simulated
-from keymint_ros2_dds.transports.participants_transport import ParticipantsTransport
+from keymint_ros2_dds.transports.real_transports import ParticipantsTransport
 from keymint_ros2_dds.vendors.participants import System
 
 from keymint.api import Enclave, Environment, Tier, Transport, Verdict

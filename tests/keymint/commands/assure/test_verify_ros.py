@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
-from keymint_ros2_dds.transports import ros_transport
+from keymint_ros2_dds.transports import real_transports
 from keymint_ros2_dds.vendors import ros_network
 from keymint_ros2_dds.vendors.participants import RefusedError
 from keymint_ros2_dds.vendors.ros_network import RosNetwork
@@ -130,7 +130,7 @@ def test_without_ros_it_says_what_is_missing(verified: Callable[..., Outcome]) -
 def test_files_that_nodes_would_not_see_are_an_error(
     verified: Callable[..., Outcome], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(ros_transport, "PRIVATE", Path("/tmp"))
+    monkeypatch.setattr(real_transports, "PRIVATE", Path("/tmp"))
     outcome = verified(*ALLOWED)
     assert outcome.code == 1
     assert "nodes see no file below /tmp (set TMPDIR)" in outcome.err
