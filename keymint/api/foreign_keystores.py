@@ -11,8 +11,7 @@ from typing import Any
 
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
-from keymint.api.certificates import KeySpec, Validity
-from keymint.api.packages import DomainRange, Package
+from keymint.api.packages import DomainRange, KeySpec, Package, Validity
 from keymint.api.policy_types import ImportedSubject
 from keymint.api.rights import Comparison, ComparisonTask, DocumentComparison
 from keymint.ir import SubjectRules

@@ -11,7 +11,7 @@ from datetime import datetime
 from pathlib import Path
 
 from comarmor.values import dataclass
-from keymint.api.certificates import Authority, AuthorityIssuance, Validity
+from keymint.api.packages import Authority, AuthorityIssuance, Validity
 from keymint.api.policies import PolicySource
 
 

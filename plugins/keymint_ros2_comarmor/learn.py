@@ -20,8 +20,7 @@ from comarmor.patterns.expression import matches
 from comarmor.rules import parts
 from comarmor.text import quoted
 from keymint.api import LearnedPolicy, LoadedPolicy
-from keymint.api.generated_names import generalised, is_generated
-from keymint.api.graph import Edge, Graph
+from keymint.api.graph import Edge, Graph, generalised, is_generated
 from keymint.errors import KeymintError
 from keymint_ros2_comarmor.policy_documents import (
     INCLUDE_SIZE,

@@ -23,8 +23,7 @@ from comarmor.patterns.expression import escape
 from comarmor.rules import PERMISSIONS, Effect, Rule
 from comarmor.values import dataclass
 from comarmor.xml.reader import XINCLUDE
-from keymint.api.generated_names import generalised
-from keymint.api.graph import Edge
+from keymint.api.graph import Edge, generalised
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.names import name_of

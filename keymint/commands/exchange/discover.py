@@ -20,8 +20,7 @@ import click
 
 from comarmor.errors import Diagnostic, Origin
 from keymint.api import DiscoveredGraph, GraphSource, graph_json
-from keymint.api.generated_names import NAMES_DIFFER, differing
-from keymint.api.graph import Graph
+from keymint.api.graph import NAMES_DIFFER, Graph, differing
 from keymint.command_line.graph_source_option import graph_source
 from keymint.command_line.named_files import deliver, exists, read_input
 from keymint.command_line.options import PATH, Number, PluginOption

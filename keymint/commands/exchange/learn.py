@@ -15,8 +15,7 @@ import click
 from comarmor.errors import Diagnostic, Origin
 from comarmor.xml.reader import looks_like_xml
 from keymint.api import LearnedPolicy, LoadedPolicy, graph_json
-from keymint.api.generated_names import NAMES_DIFFER, differing
-from keymint.api.graph import Edge, Graph
+from keymint.api.graph import NAMES_DIFFER, Edge, Graph, differing
 from keymint.command_line.named_files import read_input, show_written, write_outputs
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PATH, PolicyOptions, force_option, policy_options

@@ -28,8 +28,7 @@ from comarmor.regex import lazy_regex
 from comarmor.text import first_few
 from comarmor.values import dataclass
 from keymint.api import DiscoveredGraph
-from keymint.api.generated_names import is_generated
-from keymint.api.graph import Edge, Graph, Object
+from keymint.api.graph import Edge, Graph, Object, is_generated
 from keymint.api.graph_json import legal_node, legal_text, partitions
 from keymint.errors import ExitCode, KeymintError
 from keymint_ros2_dds.discovery.endpoint_translation import ros_edge
