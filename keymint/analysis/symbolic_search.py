@@ -154,7 +154,8 @@ def find_subject(
         excluded = (*excluded, (example,))
     undecided: Unknown | None = None
     for namespace, name in _singled(namespace_name_pairs(subjects), placeholders(shape)):
-        answer = _Search(kind, namespace, name, shape, some, none, budget).run(check, excluded, listed)
+        own = _fixed(shape, namespace, name)
+        answer = _Search(kind, namespace, name, own, some, none, budget).run(check, excluded, listed)
         if isinstance(answer, str):
             return answer
         undecided = undecided or answer
@@ -169,25 +170,17 @@ def _singled(subjects: Iterable[tuple[Glob, Glob]], used: Sequence[str]) -> Iter
         yield from product([*map(_text, namespaces)] or [namespace], [*map(_text, names)] or [name])
 
 
+@dataclass(frozen=True, slots=True)
 class _Search:
-    """The search among subjects whose namespace and name match two patterns."""
+    """The search among subjects whose namespace and name match two patterns; see :func:`find_subject`."""
 
-    def __init__(
-        self,
-        kind: str,
-        namespace: Glob,
-        name: Glob,
-        shape: Glob,
-        some: Sequence[Entries],
-        none: Entries,
-        budget: QueryBudget,
-    ) -> None:
-        self._kind = kind
-        self._namespace, self._name = namespace, name
-        self._shape = self._fixed(shape, namespace, name)
-        self._some, self._none = some, none
-        self._budget = budget
-        self._universe = Universe(_alphabet(kind), 4 if kind == RAW else 3, SEPARATOR, last_nonempty=kind == RAW)
+    kind: str
+    namespace: Glob
+    name: Glob
+    shape: Glob
+    some: Sequence[Entries]
+    none: Entries
+    budget: QueryBudget
 
     def run(
         self, check: SubjectCheck, excluded: Iterable[Glob], listed: Sequence[SubjectClass]
@@ -199,6 +192,7 @@ class _Search:
             return Unknown("its patterns overlap in too many ways")
         refused = [*negatives, *self._words((*excluded, *(each.like for each in listed if not each.excluded)))]
         unlisted = [self._outside(each) for each in listed if each.excluded]
+        words = Universe(_alphabet(self.kind), 4 if self.kind == RAW else 3, SEPARATOR, last_nonempty=self.kind == RAW)
         for _ in range(_ROUNDS):
             denied = Block(False, tuple(dict.fromkeys(refused)))
             lists: list[DecisionList] = [
@@ -206,13 +200,13 @@ class _Search:
                 *((Block(True, each),) for each in positives[1:]),
                 *unlisted,
             ]
-            if self._budget.is_empty:
-                return Unknown(self._budget.reason(""))
-            outcome = difference((), *lists, universe=self._universe, budget=self._budget.next_query(len(lists)))
+            if self.budget.is_empty:
+                return Unknown(self.budget.reason(""))
+            outcome = difference((), *lists, universe=words, budget=self.budget.next_query(len(lists)))
             if isinstance(outcome, Equal):
                 return None
             if isinstance(outcome, Unknown):
-                return Unknown(self._budget.reason(outcome.reason))
+                return Unknown(self.budget.reason(outcome.reason))
             namespace, name, word = outcome.word.split(SEPARATOR, 2)
             subject = f"/{namespace}{name}"
             verdict = check(subject)
@@ -226,42 +220,34 @@ class _Search:
 
     def _lists(self) -> tuple[list[tuple[Glob, ...]], list[Glob]]:
         """Return patterns of allowed words, of which a word matches one of each tuple, and of forbidden words."""
-        positives: list[tuple[Glob, ...]] = [(_word(self._namespace, self._name, self._shape),)]
-        for entries in self._some:
+        positives: list[tuple[Glob, ...]] = [(_word(self.namespace, self.name, self.shape),)]
+        for entries in self.some:
             found = (word for entry in entries for word in self._entry_words(entry, wide=True))
             positives.append(tuple(dict.fromkeys(found)))
-        negatives = [*_illegal(self._kind), *self._surplus_placeholders()]
-        negatives += (word for entry in self._none for word in self._entry_words(entry, wide=False))
+        negatives = [*_illegal(self.kind), *self._surplus_placeholders()]
+        negatives += (word for entry in self.none for word in self._entry_words(entry, wide=False))
         return positives, negatives
 
     def _entry_words(self, entry: SymbolicEntry, *, wide: bool) -> Iterator[Glob]:
         """Yield an entry as patterns of words, over-approximated (wide) or under-approximated."""
         for entry_namespace, entry_name in entry.subjects:
             try:
-                pairs = product(intersection(entry_namespace, self._namespace), intersection(entry_name, self._name))
+                pairs = product(intersection(entry_namespace, self.namespace), intersection(entry_name, self.name))
             except TooComplexError:
                 if not wide:
                     continue
-                pairs = product((self._namespace,), (self._name,))
+                pairs = product((self.namespace,), (self.name,))
             for namespace, name in _singled(pairs, placeholders(entry.object)):
-                pattern = self._fixed(entry.object, namespace, name)
-                fit = fit_pattern(pattern, self._shape, namespace, name, wide=wide)
+                pattern = _fixed(entry.object, namespace, name)
+                fit = fit_pattern(pattern, self.shape, namespace, name, wide=wide)
                 for limits, limits2, object_ in fit.pieces:
                     both = (_narrowed(namespace, limits, wide=wide), _narrowed(name, limits2, wide=wide))
                     yield from (_word(one, other, object_) for one, other in product(*both))
 
-    @staticmethod
-    def _fixed(pattern: Glob, namespace: Glob, name: Glob) -> Glob:
-        """Return a pattern with the placeholders of an exact namespace or name filled."""
-        one, other = literal(namespace), literal(name)
-        return fill_placeholders(
-            pattern, (NAMESPACE,) if one is None else namespace, (NAME,) if other is None else name
-        )
-
     def _denied_for(self, namespace: str, name: str, word: str) -> Iterator[Glob]:
         """Yield the words that rules with placeholders deny for a namespace and name, if they deny a given word."""
         exact = (_text(namespace), _text(name))
-        for entry in self._none:
+        for entry in self.none:
             used = placeholders(entry.object)
             if not used or not matches(fill_placeholders(entry.object, *exact), word):
                 continue
@@ -275,7 +261,7 @@ class _Search:
 
     def _surplus_placeholders(self) -> Iterator[Glob]:
         """Yield the words with more placeholders than the shape: its stars match no placeholders."""
-        used = placeholders(self._shape)
+        used = placeholders(self.shape)
         for each in PLACEHOLDERS:
             yield normalise((STAR, *((each, STAR) * (used.count(each) + 1))))
 
@@ -283,12 +269,18 @@ class _Search:
         """Yield patterns of all words of the subjects that patterns match."""
         for pattern in subjects:
             for namespace, name in namespace_name_pairs(pattern):
-                yield _word(namespace, name, _any_object(self._kind))
+                yield _word(namespace, name, _any_object(self.kind))
 
     def _outside(self, listed: SubjectClass) -> DecisionList:
         """Return the list of the words of the subjects outside of a class."""
         excluded, inside = tuple(self._words(listed.excluded)), tuple(self._words([listed.like]))
         return negate((Block(False, excluded), Block(True, inside)))
+
+
+def _fixed(pattern: Glob, namespace: Glob, name: Glob) -> Glob:
+    """Return a pattern with the placeholders of an exact namespace or name filled."""
+    one, other = literal(namespace), literal(name)
+    return fill_placeholders(pattern, (NAMESPACE,) if one is None else namespace, (NAME,) if other is None else name)
 
 
 def _text(text: str) -> Glob:
