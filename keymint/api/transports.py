@@ -49,6 +49,11 @@ class Availability:
     tiers: tuple[Tier, ...] = ()
     by_default: bool = True
 
+    @property
+    def names_rules(self) -> bool:
+        """Whether a transport decides by the documents alone, so it can name the rule that decides."""
+        return self.tiers == (Tier.DECISION,)
+
     def require(self, tier: Tier, name: str) -> None:
         """Check that a transport supports a tier.
 

@@ -17,7 +17,6 @@ from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
 from keymint.api import Enclave, Transport, Verdict
 from keymint.errors import KeymintError
-from keymint.verify.usable_transports import names_rules
 from keymint.view.tree import Tree
 
 PUBLIC = {".json", ".json5", ".p7s", ".pem", ".sig", ".xml"}
@@ -100,7 +99,7 @@ def enclave_copies(
         others: the folders of all further enclaves, whose files are not shared.
         infrastructure: those of them that belong to the infrastructure of a transport; they are copied too.
     """
-    keys = not all(names_rules(each.usable()) for each in transports)
+    keys = not all(each.usable().names_rules for each in transports)
     with tempfile.TemporaryDirectory(prefix="keymint-") as folder:
         root = Path(folder).resolve()
         folders = {each.folder for each in enclaves.values()}

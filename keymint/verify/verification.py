@@ -18,10 +18,9 @@ from keymint.executors import Pool
 from keymint.verify.compare import Asking, TransportComparison
 from keymint.verify.copies import Copies, local_copies
 from keymint.verify.endpoint_policy import EdgeRows, EndpointPolicy, label
-from keymint.verify.explain import Explainer
 from keymint.verify.mismatch import EdgeComparison
 from keymint.verify.scope import VerificationScope, common_objects, edges_of_graph, edges_of_policy, selected_rows
-from keymint.verify.usable_transports import models, names_rules
+from keymint.verify.transports import Explainer, models
 
 LEAST = 150_000
 """Edges, times models, for which a process of its own is worth its start."""
@@ -164,7 +163,7 @@ def verified_in_parts(
     Raises:
         KeymintError: a transport does not work, or the pool is lost.
     """
-    modelled = tuple(name for name, each in transports.items() if names_rules(each.usable()))
+    modelled = tuple(name for name, each in transports.items() if each.usable().names_rules)
     common = () if graph else common_objects(policy, scope)
     whole = VerificationPart(scope, policy, graph, common, modelled, asking, copies)
     subjects, rows = whole.rows()

@@ -31,9 +31,9 @@ from keymint.names import name_of, typed_permission, typed_subject
 from keymint.verify.compare import label_enclave
 from keymint.verify.copies import enclave_copies
 from keymint.verify.endpoint_policy import RAW, EndpointPolicy, Naming
-from keymint.verify.explain import Explainer
 from keymint.verify.mismatch import Mismatch
 from keymint.verify.scope import has_name, naming_of
+from keymint.verify.transports import Explainer
 from keymint.workspace.installed_enclaves import enclave_names
 from keymint.workspace.session import Session
 from keymint.workspace.workspace import packages

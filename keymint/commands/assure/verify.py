@@ -38,7 +38,7 @@ from keymint.verify.scope import (
     selective,
     subjects_of_graph,
 )
-from keymint.verify.usable_transports import choose
+from keymint.verify.transports import choose
 from keymint.verify.verification import Verification, verified_in_parts
 from keymint.workspace.policy_loading import load_policy
 

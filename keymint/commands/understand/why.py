@@ -28,7 +28,7 @@ from keymint.output.mismatches import (
 from keymint.output.report import Report, findings_if, members
 from keymint.run.run import Run
 from keymint.stages.proof.trust_anchors import differences
-from keymint.verify.usable_transports import choose, models
+from keymint.verify.transports import choose, models
 from keymint.verify.why import Explanation, MatchedRule, Need, explain, request, source_package
 from keymint.workspace.policy_loading import load_policy
 

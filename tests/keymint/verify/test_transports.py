@@ -5,15 +5,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
 from keymint.api import Availability, Enclave, Tier, Verdict
 from keymint.api.graph import Edge
 from keymint.errors import ExitCode, KeymintError
-from keymint.verify.usable_transports import choose, models
+from keymint.verify.copies import Copies
+from keymint.verify.endpoint_policy import EndpointPolicy
+from keymint.verify.transports import Explainer, choose, models
 
 BOTH = (Tier.DECISION, Tier.EXCHANGE)
 
@@ -108,3 +111,39 @@ def test_models_of_what_a_distribution_does_not_ship_are_asked_only_by_name() ->
     assert set(choose(INSTALLED, (), Tier.DECISION, ["one"], "old")["one"]) == {"real", "omg"}
     assert set(choose(INSTALLED, ("vendor-2",), Tier.DECISION, ["one"], "old")["one"]) == {"vendor-2"}
     assert list(models(INSTALLED, "one", distro="old")) == ["omg"]
+
+
+MODELS = ("omg", "cyclonedds-0.10", "fastdds-2.11", "fastdds-2.9", "fastdds-3.3")
+
+
+@dataclass(frozen=True)
+class Software:
+    """A real transport of a version."""
+
+    version: str
+
+    def usable(self) -> Availability:
+        return Availability(usable=True, version=self.version, tiers=tuple(Tier))
+
+
+@pytest.mark.parametrize(
+    ("transport", "version", "model"),
+    [
+        ("fastdds", "2.9.1", "fastdds-2.9"),
+        ("fastdds", "2.14.6", "fastdds-2.11"),
+        ("fastdds-3", "3.3.0", "fastdds-3.3"),
+        ("fastdds-3", "3.1.2", "fastdds-2.11"),
+        ("fastdds", "2.6.4", "fastdds-2.9"),
+        ("cyclonedds", "0.10.2", "cyclonedds-0.10"),
+        ("cyclonedds-0.10.5", "0.10.5", "cyclonedds-0.10"),
+        ("cyclonedds", "", "cyclonedds-0.10"),
+        ("opendds", "3.28", "omg"),
+    ],
+)
+def test_by_version(transport: str, version: str, model: str) -> None:
+    transports = {transport: cast("Transport", Software(version))}
+    copies = Copies({}, Path("/copies"), Path("/install"))
+    explainer = Explainer(
+        cast("EndpointPolicy", None), transports, lambda: dict.fromkeys(MODELS, transports[transport]), copies
+    )
+    assert explainer.model_of(transport) == model

@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Select transports: those to test, and those that name the rule that decides, which explain mismatches of others."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+
+from comarmor.errors import Origin
+from keymint.api import Availability, Enclave, Tier, Transport, Verdict
+from keymint.api.graph import Edge
+from keymint.api.plugin_loader import Plugins
+from keymint.errors import ExitCode, KeymintError
+from keymint.verify.compare import label_enclave
+from keymint.verify.copies import Copies
+from keymint.verify.endpoint_policy import EndpointPolicy
+from keymint.verify.mismatch import Mismatch
+
+
+def choose(
+    plugins: Plugins, chosen: Sequence[str], tier: Tier, build_types: Sequence[str], distro: str = ""
+) -> Mapping[str, Mapping[str, Transport]]:
+    """Return the transports to test by build type, then name: the chosen ones, or all that are usable at a tier.
+
+    Args:
+        plugins: the installed plugins.
+        chosen: names of transports; empty to choose all that are usable.
+        tier: the tier of the test.
+        build_types: those of the packages; transports that read what other ones build are not used.
+        distro: ROS 2 distribution; models of what it does not ship are used only if they are chosen; empty for all.
+
+    Returns:
+        The build types with a transport, in the given order.
+
+    Raises:
+        KeymintError: a chosen transport is unknown, unusable or of another build type, or none is chosen and none is
+            usable.
+    """
+    if chosen:
+        used = _named(plugins, chosen, tier, build_types)
+    else:
+        known = {name: plugins.transport(name) for each in build_types for name in plugins.transports_of(each, distro)}
+        used = {name: each for name, each in known.items() if usable_by_default(each.usable(), tier)}
+    if not used:
+        raise KeymintError(
+            f"no transport supports the tier {tier} on this machine",
+            help="'keymint transports' shows how to install one",
+            code="transport-none",
+        )
+    groups = {each: {name: used[name] for name in used if plugins.read_by(name) == each} for each in build_types}
+    return {build_type: group for build_type, group in groups.items() if group}
+
+
+def _named(plugins: Plugins, chosen: Sequence[str], tier: Tier, build_types: Sequence[str]) -> dict[str, Transport]:
+    """Return transports that the user names.
+
+    Raises:
+        KeymintError: one is unknown, unusable or of another build type.
+    """
+    named = {name: plugins.transport(name) for name in dict.fromkeys(chosen)}
+    for name, transport in named.items():
+        if (needed := plugins.read_by(name)) not in build_types:
+            fitting = [other for each in build_types for other in plugins.transports_of(each)]
+            raise KeymintError(
+                f"the transport {name!r} reads what {needed} builds, but the build type here is "
+                f"{' and '.join(build_types)}",
+                help=f"use {' or '.join(f'-t {other}' for other in fitting)}" if fitting else "",
+                code="transport-foreign",
+                exit_code=ExitCode.USAGE,
+            )
+        usable = transport.usable()
+        if not usable.usable:
+            raise KeymintError(
+                f"the transport {name!r} cannot be used here: {usable.reason}",
+                help=usable.help,
+                code="transport-unusable",
+            )
+        if tier not in usable.tiers:
+            raise KeymintError(
+                f"the transport {name!r} does not support the tier {tier}",
+                help=f"it supports {', '.join(usable.tiers)}",
+                code="transport-tier",
+                exit_code=ExitCode.USAGE,
+            )
+    return named
+
+
+def usable_by_default(usable: Availability, tier: Tier) -> bool:
+    """Return whether a transport is tested when none is chosen."""
+    return usable.usable and usable.by_default and tier in usable.tiers
+
+
+def models(plugins: Plugins, build_type: str, *, distro: str = "") -> dict[str, Transport]:
+    """Return the transports of a build type that name the rule that decides; one without a version comes first."""
+    names = sorted(plugins.transports_of(build_type, distro), key=lambda name: ("-" in name, name))
+    usable = {name: plugins.transport(name).usable() for name in names}
+    named = [name for name, each in usable.items() if each.names_rules and usable_by_default(each, Tier.DECISION)]
+    return {name: plugins.transport(name) for name in named}
+
+
+_VERSION = re.compile(r"-[\d.]+$")
+
+
+class Explainer:
+    """Explains the labels of transports; a real one is explained by its simulation.
+
+    Args:
+        policy: the policy on endpoints.
+        transports: the transports to explain, by name.
+        find_models: returns, on first use, simulated transports by name, whose verdicts have the place of a rule;
+            ``name-1.2`` simulates ``name`` from that version on. The first one explains what has no simulation.
+        copies: the copies that the transports read; mismatches name the originals.
+    """
+
+    def __init__(
+        self,
+        policy: EndpointPolicy,
+        transports: Mapping[str, Transport],
+        find_models: Callable[[], Mapping[str, Transport]],
+        copies: Copies,
+    ) -> None:
+        self._policy = policy
+        self._copies = copies
+        usable = {name: each.usable() for name, each in transports.items()}
+        self._explains_itself = frozenset(name for name, each in usable.items() if each.names_rules)
+        self._versions = {name: each.version for name, each in usable.items()}
+        self._models = cache(find_models)
+
+    def __call__(self, transport: str, enclave: Enclave, wrong: list[tuple[Edge, Verdict]]) -> list[Mismatch]:
+        """Return the mismatches of one enclave with their reasons."""
+        found: list[Mismatch] = []
+        for (edge, verdict), (decided, model) in zip(wrong, self._modelled(transport, enclave, wrong), strict=True):
+            modelled = self._copies.original(decided)
+            own = replace(self._copies.original(verdict), where=modelled.where, deviation=modelled.deviation)
+            document = modelled.where or Origin(self._copies.back(str(enclave.folder)))
+            found.append(Mismatch(edge, self._policy.decide(edge), own, modelled.reason, document, model))
+        return found
+
+    def model_of(self, transport: str) -> str:
+        """Return the name of the simulation that explains a transport, or an empty text.
+
+        Of those of its software, that is the latest one that is not newer than the transport, else the oldest.
+        """
+        software = _VERSION.sub("", transport)
+        own = [name for name in self._models() if _VERSION.sub("", name) == software != name]
+        known = [name for name in own if _number(name) <= _number(self._versions.get(transport, ""))]
+        oldest = min(own, key=_number, default=next(iter(self._models()), ""))
+        return max(known, key=_number, default=oldest)
+
+    def _modelled(
+        self, transport: str, enclave: Enclave, wrong: Sequence[tuple[Edge, Verdict]]
+    ) -> list[tuple[Verdict, str]]:
+        """Return the verdicts of the simulation where it decides the same, else the transport's own."""
+        plain = [(verdict, "") for _, verdict in wrong]
+        name = "" if transport in self._explains_itself else self.model_of(transport)
+        if not name:
+            return plain
+        try:
+            edges = [edge for edge, _ in wrong]
+            models = [verdict for _, verdict in label_enclave(self._models()[name], enclave, edges, Tier.DECISION)]
+        except KeymintError:
+            return plain
+        return [
+            (model, name) if _alike(model, verdict) else (verdict, "")
+            for (_, verdict), model in zip(wrong, models, strict=True)
+        ]
+
+
+def _number(text: str) -> tuple[int, ...]:
+    """Return the version at the end of a name, or that a text is, to compare it with others."""
+    return tuple(map(int, re.findall(r"\d+", text.rpartition("-")[2])))
+
+
+def _alike(one: Verdict, other: Verdict) -> bool:
+    """Tell whether two verdicts decide the same; a partial one counts as the opposite of what the policy says."""
+    return one.partial == other.partial and (one.partial or one.allowed == other.allowed)
