@@ -23,9 +23,8 @@ from keymint.authority.authority_files import chains_digest
 from keymint.errors import KeymintError
 from keymint.examine.weaknesses import signing_issuers
 from keymint.ir import DeferredRules, Rule, SubjectRules
-from keymint.life import earlier_rights
 from keymint.life.register import SignedRights, register_error
-from keymint.life.workspace_register import has_register, issuer_of, register_of
+from keymint.life.workspace_register import excess_of, has_register, issuer_of, outliving_rights, register_of
 from keymint.names import ROOT, package_name, subject_of
 from keymint.pki import certificates, distinguished_names, smime
 from keymint.pki.distinguished_names import to_text
@@ -71,7 +70,7 @@ def presented_rights(session: Session, state: State, policy: api.LoadedPolicy, e
         claims, found, state = question.recorded(state, f"{SHARED}/presented/{name}")
         for package, subject, excess, until in found:
             if until >= session.now:
-                note = earlier_rights.outliving_rights(session, package, subject, excess, until)
+                note = outliving_rights(session, package, subject, excess, until)
                 outliving.setdefault(package, note)
         proofs.append(EnclaveProof("", "", claims, build_types=(name,)))
     is_whole = not proofs or (has_register(session) and register_of(session).is_whole)
@@ -142,7 +141,7 @@ class _Question:
                 claims += failing
             elif failing and known.accepted is None:
                 subject, found = each.holder.subject, failing[0]
-                excess = earlier_rights.excess_of(subject, found.counterexample, found.reason)
+                excess = excess_of(subject, found.counterexample, found.reason)
                 outliving.append((known.name, subject, excess, each.until))
         failed = {claim.model for claim in claims}
         excepted = dict.fromkeys(presentation.trusting_any_signer(), tuple(_signers(session, self.packages.values())))

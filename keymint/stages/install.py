@@ -14,7 +14,7 @@ from keymint.api import Package
 from keymint.authority.authorities import MintedAuthority
 from keymint.authority.authority_files import chains_digest
 from keymint.errors import KeymintError
-from keymint.life import earlier_rights, revocation_lists_in_force, terms, workspace_register
+from keymint.life import revocation_lists_in_force, terms, workspace_register
 from keymint.life.register import SignedRights
 from keymint.life.terms import iso_time
 from keymint.life.workspace_register import register_of
@@ -188,7 +188,7 @@ def _plan_enclave(
         return PackagePlan(name, withdrawn=reason)
     artifacts, issued, warnings = sign(session, package, documents, authorities, (key_pem, public), existing)
     new = {file: artifact.content for file, artifact in artifacts.items()}
-    outliving = earlier_rights.replaced_rights(session, package, existing, new)
+    outliving = workspace_register.replaced_rights(session, package, existing, new)
     in_force = revocation_lists_in_force.enclave_lists(session).get(package.identity.issuer)
     for file, artifact in artifacts.items():
         if in_force and artifact.content == in_force:

@@ -134,13 +134,9 @@ def load(content: bytes | None) -> State:
     Args:
         content: result of :meth:`State.dump`.
     """
-    return State(_stamps(content))
-
-
-def _stamps(content: bytes | None) -> dict[str, dict[str, Stamp]]:
     document = unsealed_document(content, VERSION)
     if document is None:
-        return {}
+        return State()
     try:
         texts = tuple(map(str, document["texts"]))
         shapes = [tuple(tuple(map(str, names)) for names in shape) for shape in document["shapes"]]
@@ -155,9 +151,11 @@ def _stamps(content: bytes | None) -> dict[str, dict[str, Stamp]]:
         def whole(brief: str | int) -> str:
             return texts[brief] if isinstance(brief, int) else str(brief)
 
-        return {
-            str(stage): {str(name): stamp(*row) for name, row in of_stage.items()}
-            for stage, of_stage in document["stamps"].items()
-        }
+        return State(
+            {
+                str(stage): {str(name): stamp(*row) for name, row in of_stage.items()}
+                for stage, of_stage in document["stamps"].items()
+            }
+        )
     except (ValueError, KeyError, TypeError, AttributeError, IndexError):
-        return {}
+        return State()

@@ -11,7 +11,6 @@ from __future__ import annotations
 import hashlib
 import os.path
 import posixpath
-import re
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import lru_cache
@@ -379,11 +378,7 @@ def _relative(file: str, base: str) -> str:
         file = file.removeprefix(base)
     elif not file.startswith(("/", PACKAGE)) and not base.startswith("/"):
         file = os.path.relpath(file, base)
-    return _UNSAFE.sub(_percent_encoded, file)
-
-
-def _percent_encoded(match: re.Match[str]) -> str:
-    return quote(match.group(), safe="", errors="surrogateescape")
+    return _UNSAFE.sub(lambda match: quote(match.group(), safe="", errors="surrogateescape"), file)
 
 
 def _text(text: str) -> str:
