@@ -167,11 +167,12 @@ def _row(values: Sequence[object], file: str, number: int) -> rows.TableRow | Co
             if not isinstance(value, str):
                 raise _type_error(name, value, where)
             texts.append(strip(value))
+        texts.append("" if audit is None else strip(str(audit)))
     except ComArmorError as error:
         return error
     # The column tells rows of one source apart where a line would; it is not shown.
     origin = Origin(where.file, 0, (), number) if source else where
-    return rows.TableRow.of([*texts, "" if audit is None else strip(str(audit))], where, origin)
+    return rows.TableRow(where, origin, *texts)
 
 
 def _type_error(column: str, value: object, where: Origin) -> ComArmorError:

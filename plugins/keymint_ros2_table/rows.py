@@ -22,34 +22,28 @@ _LONGEST_SOURCE = 500
 
 @dataclass(frozen=True, slots=True)
 class TableRow:
-    """A row of a table, as it is written.
+    """A row of a table, as it is written: the texts of :data:`COLUMNS` but the source.
 
     Attributes:
+        where: where the row is, with what its column ``source`` says.
+        origin: where its rules come from: the same, but without a number that changes when other rows of a database do,
+            if there is a source.
         subject: expression of subjects.
         kind: kind of the object, or ``include``.
         permission: one permission of that kind.
         object: expression of objects.
         qualifier: ALLOW or DENY.
         audit: whether requests are logged.
-        where: where the row is, with what its column ``source`` says.
-        origin: where its rules come from: the same, but without a number that changes when other rows of a database do,
-            if there is a source.
     """
 
+    where: Origin
+    origin: Origin
     subject: str
     kind: str
     permission: str
     object: str
     qualifier: str
     audit: str
-    where: Origin
-    origin: Origin
-
-    @classmethod
-    def of(cls, texts: Sequence[str], where: Origin, origin: Origin | None = None) -> TableRow:
-        """Return the row with the texts of all columns but the source, in the order of :data:`COLUMNS`."""
-        subject, kind, permission, object_, qualifier, audit = texts
-        return cls(subject, kind, permission, object_, qualifier, audit, where, origin or where)
 
 
 def column_order(header: Sequence[str], where: Origin) -> tuple[int, ...]:
@@ -156,7 +150,8 @@ def rows_of_csv(content: bytes, file: str) -> Iterator[TableRow | ComArmorError]
             continue
         *texts, source = (strip(fields[at]) if at >= 0 else "" for at in order)
         try:
-            yield TableRow.of(texts, row_origin(file, line, source))
+            where = row_origin(file, line, source)
+            yield TableRow(where, where, *texts)
         except ComArmorError as error:
             yield error
 

@@ -28,15 +28,7 @@ from comarmor.values import dataclass
 from keymint.api import Verdict
 from keymint.errors import KeymintError
 from keymint.pki import certificates, certification_path, extensions
-from keymint_ros2_zenoh.documents.configuration import (
-    PROPERTIES,
-    AccessControl,
-    AclRule,
-    AclSubject,
-    Flow,
-    Message,
-    Permission,
-)
+from keymint_ros2_zenoh.documents.configuration import AccessControl, AclRule, AclSubject, Flow, Message, Permission
 from keymint_ros2_zenoh.keyexpr import KeyExpr, includes, parse
 
 
@@ -197,7 +189,7 @@ class LinkAccess:
 
 def _properties(subject: AclSubject) -> Iterable[_Properties]:
     """Yield the combinations of one value of each property; None is a property that the subject does not give."""
-    return product(*(getattr(subject, name) or (None,) for name in PROPERTIES))
+    return product(*(values or (None,) for values in subject.properties))
 
 
 def _matches(properties: _Properties, link: Link) -> bool:

@@ -52,23 +52,16 @@ AUDIT, ORIGIN = f"{OWN}advice:audit", f"{OWN}advice:origin"
 _RESOURCE = "urn:oasis:names:tc:xacml:3.0:attribute-category:resource"
 
 
-@dataclass(frozen=True, slots=True)
-class Attribute:
-    """An attribute of a request, a string."""
-
-    category: str
-    id: str
-
-
-SUBJECT = Attribute(
-    "urn:oasis:names:tc:xacml:1.0:subject-category:access-subject", "urn:oasis:names:tc:xacml:1.0:subject:subject-id"
+Attribute = tuple[str, str]
+"""The category and the identifier of an attribute of a request, a string."""
+SUBJECT = (
+    "urn:oasis:names:tc:xacml:1.0:subject-category:access-subject",
+    "urn:oasis:names:tc:xacml:1.0:subject:subject-id",
 )
-NAME = Attribute(_RESOURCE, "urn:oasis:names:tc:xacml:1.0:resource:resource-id")
-ACTION = Attribute(
-    "urn:oasis:names:tc:xacml:3.0:attribute-category:action", "urn:oasis:names:tc:xacml:1.0:action:action-id"
-)
-KIND = Attribute(_RESOURCE, f"{OWN}resource:kind")
-PARTITION = Attribute(_RESOURCE, f"{OWN}resource:partition")
+NAME = (_RESOURCE, "urn:oasis:names:tc:xacml:1.0:resource:resource-id")
+ACTION = ("urn:oasis:names:tc:xacml:3.0:attribute-category:action", "urn:oasis:names:tc:xacml:1.0:action:action-id")
+KIND = (_RESOURCE, f"{OWN}resource:kind")
+PARTITION = (_RESOURCE, f"{OWN}resource:partition")
 ATTRIBUTES = (SUBJECT, NAME, KIND, PARTITION, ACTION)
 """What a request has, each with one value; the partition is empty for the default one."""
 
@@ -294,7 +287,8 @@ def _any_of(target: etree._Element, attribute: Attribute, matches: Iterable[Text
 
 
 def _designator(parent: etree._Element, attribute: Attribute) -> None:
+    category, name = attribute
     _child(
         parent, "AttributeDesignator",
-        Category=attribute.category, AttributeId=attribute.id, DataType=STRING, MustBePresent="false",
+        Category=category, AttributeId=name, DataType=STRING, MustBePresent="false",
     )  # fmt: skip

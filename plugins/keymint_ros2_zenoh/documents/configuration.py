@@ -98,9 +98,14 @@ class AclSubject:
     where: Origin | None = None
 
     @property
+    def properties(self) -> tuple[tuple[str, ...], ...]:
+        """The values of each of :data:`PROPERTIES`."""
+        return tuple(getattr(self, name) for name in PROPERTIES)
+
+    @property
     def depends_on_more(self) -> bool:
         """Whether it gives other properties than common names."""
-        return any(getattr(self, name) for name in PROPERTIES[1:])
+        return any(self.properties[1:])
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,17 +18,8 @@ from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules
 from keymint_ros2_zenoh.documents.configuration import AclRule, Flow, Message, Permission
 from keymint_ros2_zenoh.keyexpr import KeyExpr, TooManyAlternativesError, key_exprs, maximal, parse
+from keymint_ros2_zenoh.lowering import permissions
 from keymint_ros2_zenoh.lowering.name_rules import NameRules, lower_notes, name_rules
-from keymint_ros2_zenoh.lowering.permissions import (
-    GRAPH_SLOTS,
-    SLOTS,
-    USERS,
-    Place,
-    Slot,
-    graph_key,
-    name_key,
-    own_tokens_key,
-)
 
 MAX_DOMAINS = 32
 """Domains that one subject may have: key expressions have no ranges, so that each domain repeats all of them."""
@@ -104,7 +95,7 @@ def domain_ids(domains: Iterable[DomainRange]) -> tuple[int, ...]:
 
 def _rules(names: NameRules, domains: tuple[int, ...]) -> Iterator[AclRule]:
     """Yield the rules for names, in the order of the policy."""
-    places: dict[tuple[Effect, Rule], dict[tuple[KeyExpr, Place], set[Slot]]] = {}
+    places: dict[tuple[Effect, Rule], dict[tuple[KeyExpr, permissions.Place], set[permissions.Slot]]] = {}
     for effect, slots, pattern, rule in slot_rules(names):
         by_key = places.setdefault((effect, rule), {})
         for key in key_exprs(pattern):
@@ -115,12 +106,12 @@ def _rules(names: NameRules, domains: tuple[int, ...]) -> Iterator[AclRule]:
         for (name, place), own in by_key.items():
             sides = frozenset((slot.message, slot.flow) for slot in own)
             for domain in domains:
-                groups.setdefault(sides, []).append(name_key(domain, name, place))
+                groups.setdefault(sides, []).append(permissions.name_key(domain, name, place))
         for sides, keys in groups.items():
             yield from _by_flow(effect, sides, keys)
 
 
-def slot_rules(names: NameRules) -> Iterator[tuple[Effect, tuple[Slot, ...], Glob, Rule]]:
+def slot_rules(names: NameRules) -> Iterator[tuple[Effect, tuple[permissions.Slot, ...], Glob, Rule]]:
     """Yield patterns of names with the slots that they allow or deny, and the rule that they come from.
 
     An ALLOW rule allows what its permission needs. A DENY rule denies all messages in both flows, except what a
@@ -128,28 +119,28 @@ def slot_rules(names: NameRules) -> Iterator[tuple[Effect, tuple[Slot, ...], Glo
     """
     for each in names.rules:
         if each.effect is Effect.ALLOW:
-            yield Effect.ALLOW, SLOTS[each.permission], each.pattern, each.rule
+            yield Effect.ALLOW, permissions.SLOTS[each.permission], each.pattern, each.rule
     denied: dict[tuple[Rule, Glob], set[str]] = {}
     for each in names.rules:
         if each.effect is Effect.DENY:
             denied.setdefault((each.rule, each.pattern), set()).add(each.permission)
-    for (rule, pattern), permissions in denied.items():
+    for (rule, pattern), own in denied.items():
         living = {
             permission
-            for permission in SLOTS
-            if permission not in permissions
+            for permission in permissions.SLOTS
+            if permission not in own
             and any(not disjoint(allowed, pattern) for allowed in names.patterns(Effect.ALLOW, permission))
         }
-        yield Effect.DENY, tuple(slot for slot, users in USERS.items() if not users & living), pattern, rule
-        for slot, users in USERS.items():
-            if users & permissions:
+        yield Effect.DENY, tuple(slot for slot, users in permissions.USERS.items() if not users & living), pattern, rule
+        for slot, users in permissions.USERS.items():
+            if users & own:
                 for both in _denied_too(names, pattern, users & living):
                     yield Effect.DENY, (slot,), both, rule
 
 
-def _denied_too(names: NameRules, pattern: Glob, permissions: Iterable[str]) -> Iterator[Glob]:
+def _denied_too(names: NameRules, pattern: Glob, others: Iterable[str]) -> Iterator[Glob]:
     """Yield the patterns of the names that a pattern matches and that are denied for other permissions as well."""
-    for permission in sorted(permissions):
+    for permission in sorted(others):
         for other in names.patterns(Effect.DENY, permission):
             with suppress(TooComplexError, TooManyAlternativesError):  # see SLOTS: a reply alone is no right
                 for both in intersection(pattern, other):
@@ -172,9 +163,9 @@ def _by_flow(effect: Effect, sides: Iterable[tuple[Message, Flow]], keys: Iterab
 
 def _graph(subject: str, domains: tuple[int, ...]) -> Iterator[AclRule]:
     """Yield what lets a node announce itself and read the graph. No enclave can announce the nodes of another one."""
-    own = [own_tokens_key(domain, subject) for domain in domains]
+    own = [permissions.own_tokens_key(domain, subject) for domain in domains]
     yield from _by_flow(Effect.ALLOW, {(Message.LIVELINESS_TOKEN, Flow.INGRESS)}, own)
-    yield from _by_flow(Effect.ALLOW, GRAPH_SLOTS, [graph_key(domain) for domain in domains])
+    yield from _by_flow(Effect.ALLOW, permissions.GRAPH_SLOTS, [permissions.graph_key(domain) for domain in domains])
 
 
 def combined_rules(rules: Iterable[AclRule]) -> tuple[AclRule, ...]:

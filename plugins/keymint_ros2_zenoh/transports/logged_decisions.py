@@ -19,12 +19,7 @@ from keymint.errors import KeymintError
 from keymint.host.vendor_process import ProcessFailedError
 from keymint_ros2_zenoh.documents.configuration import Flow
 from keymint_ros2_zenoh.lowering.permissions import Operation, OperationRequest, operations
-from keymint_ros2_zenoh.transports.enclave_model import (
-    InstalledConfiguration,
-    InstalledModels,
-    ZenohEnclaveModel,
-    edge_verdict,
-)
+from keymint_ros2_zenoh.transports import enclave_model
 from keymint_ros2_zenoh.vendors import loopback, zenoh_processes
 from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohError, ZenohProcess, ZenohSystem
 
@@ -35,7 +30,7 @@ _NO_ACCESS_CONTROL: Mapping[str, object] = {"access_control": {"enabled": False}
 
 
 @contextmanager
-def running_network(router: InstalledConfiguration, variables: Mapping[str, str]) -> Iterator[Network]:
+def running_network(router: enclave_model.InstalledConfiguration, variables: Mapping[str, str]) -> Iterator[Network]:
     """Start a router, to which sessions can connect; its processes end with the context.
 
     Args:
@@ -60,14 +55,14 @@ class Network:
         sessions: the process of all sessions; it logs the decisions of their own access control.
     """
 
-    def __init__(self, router: InstalledConfiguration, system: ZenohSystem) -> None:
+    def __init__(self, router: enclave_model.InstalledConfiguration, system: ZenohSystem) -> None:
         self.router = system.start(log=zenoh_processes.FILTER)
         self.sessions = system.start(log=zenoh_processes.FILTER)
         self._ports: Mapping[str, str] = {}
         self._numbers = count()
         self._open_router(router)
 
-    def open(self, model: ZenohEnclaveModel, *, conforming: bool = True) -> str:
+    def open(self, model: enclave_model.ZenohEnclaveModel, *, conforming: bool = True) -> str:
         """Open a session of an enclave and return its name in commands.
 
         Args:
@@ -93,7 +88,7 @@ class Network:
         """Close a session."""
         self.sessions.ask("close", session=session)
 
-    def _open_router(self, files: InstalledConfiguration) -> None:
+    def _open_router(self, files: enclave_model.InstalledConfiguration) -> None:
         listen = files.configuration.listen
         for attempt in range(_ATTEMPTS):
             self._ports = {loopback.port(endpoint): str(loopback.free_port()) for endpoint in listen}
@@ -106,7 +101,7 @@ class Network:
                 return
 
 
-def _paths(files: InstalledConfiguration) -> dict[str, object]:
+def _paths(files: enclave_model.InstalledConfiguration) -> dict[str, object]:
     return loopback.path_changes(files.configuration.settings(), files.local)
 
 
@@ -117,7 +112,7 @@ _Needed = Sequence[Sequence[Operation]]
 
 
 def logged_decisions(
-    network: Network, models: InstalledModels, edges: Iterable[Edge]
+    network: Network, models: enclave_model.InstalledModels, edges: Iterable[Edge]
 ) -> Iterator[tuple[Edge, Verdict]]:
     """Yield whether the router and the session allow each edge; one session at a time.
 
@@ -140,7 +135,7 @@ def logged_decisions(
 
 def in_sessions(
     network: Network,
-    models: InstalledModels,
+    models: enclave_model.InstalledModels,
     edges: Iterable[Edge],
     size: int,
     verdicts: Callable[[LoggedSession, str, _Needed], Iterable[Verdict]],
@@ -179,7 +174,7 @@ class LoggedSession:
         ZenohError: it gets no link to the router.
     """
 
-    def __init__(self, network: Network, model: ZenohEnclaveModel) -> None:
+    def __init__(self, network: Network, model: enclave_model.ZenohEnclaveModel) -> None:
         self._network = network
         self._model = model
         self._fences = count()
@@ -204,7 +199,7 @@ class LoggedSession:
 
     def verdict(self, needed: Sequence[Operation]) -> Verdict:
         """Return the decision on an edge by its operations, which were declared: all their messages are needed."""
-        return edge_verdict(needed, self._decide, self._decide_at_router)
+        return enclave_model.edge_verdict(needed, self._decide, self._decide_at_router)
 
     def close(self) -> None:
         """Close the session."""
