@@ -12,7 +12,10 @@ import os
 import signal
 import sys
 from collections.abc import Iterator
-from typing import IO
+from typing import IO, TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from typing_extensions import Buffer
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _received: list[int] = []
@@ -63,6 +66,11 @@ class Output(io.TextIOBase):
     def encoding(self) -> str:  # type: ignore[override]
         """The encoding of the stream."""
         return getattr(self._stream, "encoding", None) or "utf-8"
+
+    @property
+    def buffer(self) -> _Bytes:
+        """The stream for bytes."""
+        return _Bytes(self)
 
     def isatty(self) -> bool:
         """Tell whether the stream is a terminal."""
@@ -128,6 +136,27 @@ class Output(io.TextIOBase):
             if self._required:
                 raise OutputError(error) from error
             self.give_up()
+
+
+class _Bytes(io.RawIOBase):
+    """The byte stream of an output: click writes completions to it."""
+
+    def __init__(self, output: Output) -> None:
+        self._output = output
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, content: Buffer, /) -> int:
+        data = bytes(content)
+        self._output.put(data)
+        return len(data)
+
+    def flush(self) -> None:
+        self._output.flush()
+
+    def close(self) -> None:
+        """Do nothing."""
 
 
 def open_missing_streams() -> None:

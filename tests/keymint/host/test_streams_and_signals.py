@@ -30,7 +30,7 @@ def test_text_and_bytes_keep_their_order(tmp_path: Path) -> None:
         output.write("")
         assert not output.began
         assert output.write("a\u00e9") == 2
-        output.put(b"\xff\x00")
+        output.buffer.write(b"\xff\x00")
         output.write("b")
         output.flush()
         assert output.began
