@@ -58,34 +58,45 @@ class TrustAnchors:
 
 
 @dataclass(frozen=True, slots=True)
+class EnclaveFiles:
+    """The installed files of an enclave, and what they must rest on.
+
+    Attributes:
+        files: the files by name, those of other build types included.
+        folder: the enclave's folder as the user would type it.
+        anchors: the authorities that the enclave must trust.
+        shared: installed shared documents of the build type, and what belongs to them, by path.
+        shared_folder: the folder that these paths are relative to, as the user would type it.
+    """
+
+    files: Mapping[str, bytes] = field(repr=False)
+    folder: str
+    anchors: TrustAnchors
+    shared: Mapping[str, bytes] = field(default_factory=dict, repr=False)
+    shared_folder: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class ProofTask:
     """A proof to attempt: the documents of an enclave permit exactly what the policy allows, for all names.
 
     Attributes:
         package: the package of the enclave, with the distribution and the domains in which the policy applies.
         rules: the policy's rules for the subject.
-        files: the enclave's installed files by name, those of other build types included.
-        folder: the enclave's folder as the user would type it.
-        anchors: the authorities that the enclave must trust.
+        enclave: the files of the enclave.
         states: the most states that the search for one claim may visit.
         go_on: polled; the search ends when it returns False.
         standard_only: omit the claims about vendors, because their deviations are accepted.
-        unsigned: the documents are about to be signed: cite the unsigned ones, in ``folder`` and ``shared_folder``.
-        shared: installed shared documents of the build type, and what belongs to them, by path.
-        shared_folder: the folder that these paths are relative to, as the user would type it.
+        unsigned: the documents are about to be signed: cite the unsigned ones, in the folders of the enclave.
     """
 
     package: Package
     rules: SubjectRules
-    files: Mapping[str, bytes] = field(repr=False)
-    folder: str
-    anchors: TrustAnchors
+    enclave: EnclaveFiles
     states: int
     go_on: Callable[[], bool]
     standard_only: bool = False
     unsigned: bool = False
-    shared: Mapping[str, bytes] = field(default_factory=dict, repr=False)
-    shared_folder: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,36 +215,12 @@ class Prover(ABC):
         """Return the assumptions of every claim, one line each, by model; the standard comes first."""
 
     @abstractmethod
-    def differences(
-        self,
-        files: Mapping[str, bytes],
-        folder: str,
-        anchors: TrustAnchors,
-        shared: Mapping[str, bytes],
-        shared_folder: str,
-    ) -> Sequence[Diagnostic]:
-        """Return an error for each file that the workspace's authorities do not vouch for; their codes are stable.
-
-        Args:
-            files: an enclave's files by name, those of other build types included.
-            folder: its folder as the user would type it.
-            anchors: the authorities that it must trust.
-            shared: installed shared documents of the build type, and what belongs to them, by path.
-            shared_folder: the folder that these paths are relative to, as the user would type it.
-        """
+    def differences(self, enclave: EnclaveFiles) -> Sequence[Diagnostic]:
+        """Return an error for each file that the workspace's authorities do not vouch for; their codes are stable."""
 
     @abstractmethod
-    def terms(
-        self,
-        files: Mapping[str, bytes],
-        folder: str,
-        anchors: TrustAnchors,
-        shared: Mapping[str, bytes],
-        shared_folder: str,
-    ) -> Sequence[ValidityTerm]:
+    def terms(self, enclave: EnclaveFiles) -> Sequence[ValidityTerm]:
         """Return the periods in which an enclave is permitted anything, as each model reads dates; reads no clock.
-
-        The arguments are those of :meth:`differences`.
 
         Raises:
             KeymintError: a file cannot be read, or the anchors do not vouch for it.

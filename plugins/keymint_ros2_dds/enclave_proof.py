@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from comarmor.errors import Origin
-from keymint.api import Claim, ComparisonTask, Proof, ProofTask, TrustAnchors, ValidityTerm
+from keymint.api import Claim, ComparisonTask, EnclaveFiles, Proof, ProofTask, ValidityTerm
 from keymint.errors import KeymintError
 from keymint.pki import smime
 from keymint.pki.identity_check import enclave_file
@@ -41,16 +41,15 @@ def question(task: ProofTask) -> _Question:
         KeymintError: a file of the enclave is missing, cannot be read, or is not issued by the anchors; or a rule of
             the policy cannot be mapped.
     """
-    files, folder = task.files, task.folder
-    if findings := differences(files, folder, task.anchors):
+    if findings := differences(task.enclave):
         raise KeymintError.of(findings)
-    content, place = _signed(files, folder, task.anchors, PERMISSIONS, unsigned=task.unsigned)
-    package, name = task.package, _subject_name(files, folder)
+    content, place = _signed(task.enclave, PERMISSIONS, unsigned=task.unsigned)
+    package, name = task.package, _subject_name(task.enclave)
     held = ComparisonTask(
         content, *place, name, task.rules, package.distro, package.grant.domains, task.states, task.go_on
     )
-    signed = _signed(files, folder, task.anchors, GOVERNANCE, unsigned=task.unsigned)
-    models = (OMG.name,) if task.standard_only else shipped_models(task.anchors.distro or package.distro)
+    signed = _signed(task.enclave, GOVERNANCE, unsigned=task.unsigned)
+    models = (OMG.name,) if task.standard_only else shipped_models(task.enclave.anchors.distro or package.distro)
     return held, EnclaveGovernance(*signed, package), models
 
 
@@ -92,35 +91,27 @@ def receive(asked: _Question, claims: tuple[Claim, ...]) -> None:
         remember(task, claims, None, models, governance)
 
 
-def terms(
-    files: Mapping[str, bytes],
-    folder: str,
-    anchors: TrustAnchors,
-    shared: Mapping[str, bytes] | None = None,
-    shared_folder: str = "",
-) -> tuple[ValidityTerm, ...]:
+def terms(enclave: EnclaveFiles) -> tuple[ValidityTerm, ...]:
     """Return the periods of validity of an enclave; see :meth:`keymint.api.Prover.terms`.
 
     Raises:
         KeymintError: a file is missing, cannot be read, or is not signed by the workspace's authority.
     """
-    del shared, shared_folder  # an enclave is complete
-    content, place = _signed(files, folder, anchors, PERMISSIONS)
-    of_grants = grant_periods.of_grants(content, place, _subject_name(files, folder), shipped_models(anchors.distro))
-    return (*of_grants, *grant_periods.of_certificates(files, folder))
+    content, place = _signed(enclave, PERMISSIONS)
+    of_grants = grant_periods.of_grants(content, place, _subject_name(enclave), shipped_models(enclave.anchors.distro))
+    return (*of_grants, *grant_periods.of_certificates(enclave.files, enclave.folder))
 
 
-def _signed(
-    files: Mapping[str, bytes], folder: str, anchors: TrustAnchors, kind: str, *, unsigned: bool = False
-) -> tuple[bytes, tuple[str, int]]:
+def _signed(enclave: EnclaveFiles, kind: str, *, unsigned: bool = False) -> tuple[bytes, tuple[str, int]]:
     """Return the content of a signed document, its file, and the number of lines before it there."""
-    name, plain = f"{kind}.p7s", f"{kind}.xml"
-    file, where = enclave_file(files, folder, name), Origin(f"{folder}/{name}")
-    signed = smime.read(file, anchors.authorities[roles.PERMISSIONS_ROLE].chain, where=where)
-    if unsigned or files.get(plain) == signed.content:
+    name, plain, folder = f"{kind}.p7s", f"{kind}.xml", enclave.folder
+    file, where = enclave_file(enclave.files, folder, name), Origin(f"{folder}/{name}")
+    signed = smime.read(file, enclave.anchors.authorities[roles.PERMISSIONS_ROLE].chain, where=where)
+    if unsigned or enclave.files.get(plain) == signed.content:
         return signed.content, (f"{folder}/{plain}", 0)
     return signed.content, (where.file, signed.lines_before)
 
 
-def _subject_name(files: Mapping[str, bytes], folder: str) -> str:
-    return subject_name(enclave_file(files, folder, CERTIFICATE), Origin(f"{folder}/{CERTIFICATE}"))
+def _subject_name(enclave: EnclaveFiles) -> str:
+    file = enclave_file(enclave.files, enclave.folder, CERTIFICATE)
+    return subject_name(file, Origin(f"{enclave.folder}/{CERTIFICATE}"))

@@ -40,18 +40,20 @@ class BoardProver(api.Prover):
     def assumptions(self) -> Mapping[str, Sequence[str]]:
         return {"board": ("everybody reads the board",)}
 
-    def differences(self, files, folder, anchors, shared, shared_folder) -> Sequence[Diagnostic]:
+    def differences(self, enclave: api.EnclaveFiles) -> Sequence[Diagnostic]:
         return ()
 
-    def terms(self, files, folder, anchors, shared, shared_folder) -> Sequence[api.ValidityTerm]:
+    def terms(self, enclave: api.EnclaveFiles) -> Sequence[api.ValidityTerm]:
         return ()
 
     def prove(self, task: api.ProofTask) -> Sequence[api.Claim]:
-        if not {BOARD, SIGNATURE} <= task.shared.keys():
-            raise KeymintError("is missing", where=Origin(f"{task.shared_folder}/{BOARD}"), code="file-missing")
-        smime.verify(task.shared[SIGNATURE], task.anchors.authorities["board"].chain, at=None, where=Origin(SIGNATURE))
-        rights = json.loads(task.shared[BOARD])
-        where = f"{task.shared_folder}/{BOARD}"
+        enclave = task.enclave
+        where = f"{enclave.shared_folder}/{BOARD}"
+        if not {BOARD, SIGNATURE} <= enclave.shared.keys():
+            raise KeymintError("is missing", where=Origin(where), code="file-missing")
+        authority = enclave.anchors.authorities["board"].chain
+        smime.verify(enclave.shared[SIGNATURE], authority, at=None, where=Origin(SIGNATURE))
+        rights = json.loads(enclave.shared[BOARD])
         return [_claim("be named", task.rules.subject, rights.get(task.rules.subject) == lines(task.rules), where)]
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import Any
 
 from comarmor.errors import Diagnostic
-from keymint.api import Inspection, TrustAnchor, TrustAnchors
+from keymint.api import EnclaveFiles, Inspection, TrustAnchor, TrustAnchors
 
 
 def examined(build_type: Any, asked: Inspection) -> tuple[Diagnostic, ...]:
@@ -19,7 +19,7 @@ def examined(build_type: Any, asked: Inspection) -> tuple[Diagnostic, ...]:
     )
     own = build_type.check(asked)
     known = {(each.code, each.where) for each in own}
-    more = build_type.prover.differences(asked.files, asked.folder, anchors, {}, "")
+    more = build_type.prover.differences(EnclaveFiles(asked.files, asked.folder, anchors))
     of_enclave = (each for each in more if each.where and each.where.file.startswith(f"{asked.folder}/"))
     return (*own, *(each for each in (*of_enclave, *_of_anchors(more)) if (each.code, each.where) not in known))
 

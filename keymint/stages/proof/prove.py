@@ -258,21 +258,15 @@ class ProofStage:
                 defects.found.append(Diagnostic.error(NO_PROVER, message, marker))
                 continue
             with defects:
+                shared = installed_documents(self._session, name)
+                anchors = anchors_of(self._session, package, build_type)
+                enclave = api.EnclaveFiles(files, folder, anchors, shared, self._shared_folder)
+                effort = self._effort
                 task = api.ProofTask(
-                    package,
-                    rules,
-                    files,
-                    folder,
-                    anchors_of(self._session, package, build_type),
-                    self._effort.states,
-                    self._effort.deadline(),
-                    self._effort.standard_only,
-                    self._unsigned,
-                    installed_documents(self._session, name),
-                    self._shared_folder,
+                    package, rules, enclave, effort.states, effort.deadline(), effort.standard_only, self._unsigned
                 )
                 own = _with_rules(self._claims(prover, task), (rules,))
-                periods = prover.terms(files, folder, task.anchors, task.shared, task.shared_folder)
+                periods = prover.terms(enclave)
                 claims += own
                 models = {claim.model for claim in own} or prover.assumptions().keys()
                 validity += terms.terms_of(periods, models)
@@ -293,7 +287,7 @@ class ProofStage:
             if (question := prover.question(task)) is not None:
                 self._asked.append((prover, question))
             return ()
-        if found := prover.differences(task.files, task.folder, task.anchors, task.shared, task.shared_folder):
+        if found := prover.differences(task.enclave):
             raise KeymintError.of(found)
         return ()
 

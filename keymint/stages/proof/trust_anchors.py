@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 from comarmor.errors import Defects, Diagnostic
-from keymint.api import BuildType, Package, TrustAnchor, TrustAnchors
+from keymint.api import BuildType, EnclaveFiles, Package, TrustAnchor, TrustAnchors
 from keymint.authority import authority_files
 from keymint.authority.authority_files import AuthorityFiles, trusted_chains
 from keymint.errors import KeymintError
@@ -159,5 +159,5 @@ def unvouched(session: Session, package: Package) -> Iterator[Diagnostic]:
     for build_type, plugin in build_types_of(session, package).items():
         if prover := plugin.prover:
             anchors, shared = anchors_of(session, package, plugin), installed_documents(session, build_type)
-            found = prover.differences(files, folder, anchors, shared, install)
+            found = prover.differences(EnclaveFiles(files, folder, anchors, shared, install))
             yield from (replace(each, subject=package.subject) for each in found)

@@ -15,7 +15,7 @@ from typing import Generic, TypeVar
 
 from comarmor.errors import Defects, Diagnostic
 from comarmor.values import dataclass
-from keymint.api import TrustAnchors
+from keymint.api import EnclaveFiles, TrustAnchors
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, revocation_lists, smime
 from keymint.pki.identity_check import IdentityCheck, When, anchor_defects, utc_time
@@ -61,26 +61,22 @@ _NONE_STARTS = "then running participants refuse every new peer, and none starts
 _UTC = "let its nodes run with TZ=UTC, or give it a validity of ten days or more"
 
 
-def differences(
-    files: Mapping[str, bytes],
-    folder: str,
-    anchors: TrustAnchors,
-    shared: Mapping[str, bytes] | None = None,
-    shared_folder: str = "",
-) -> tuple[Diagnostic, ...]:
+def differences(enclave: EnclaveFiles) -> tuple[Diagnostic, ...]:
     """Compare the trust anchors of an enclave with the authorities of the workspace.
 
     Vendors trust the authorities in the enclave. If someone else issued all its files, they are consistent with each
     other, so only a comparison with the workspace detects it. See :meth:`keymint.api.Prover.differences`.
     """
-    del shared, shared_folder  # an enclave is complete
+    anchors = enclave.anchors
     if missing := tuple(anchor_defects(anchors.authorities[role] for role in AUTHORITY_FILES)):
         return missing
     # Nobody but people read the unsigned permissions.
     unneeded = {PERMISSIONS_XML, *([KEY] if anchors.public_key or anchors.key_uri else [])}
     needed = [each for each in enclave_files(anchors.layout, anchors.distro) if each not in unneeded]
     chains = {role: each.chain for role, each in anchors.authorities.items()}
-    found = EnclaveRules(files, folder, "'keymint install' restores it", "", chains).trust(anchors, needed)
+    found = EnclaveRules(enclave.files, enclave.folder, "'keymint install' restores it", "", chains).trust(
+        anchors, needed
+    )
     # An encrypted key cannot be read without its password, so it is not compared with the certificate.
     return tuple(each for each in found if each.code != "key-password")
 

@@ -19,7 +19,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.text import quoted
-from keymint.api import Inspection, SharedInspection, TrustAnchor, TrustAnchors, ValidityTerm
+from keymint.api import EnclaveFiles, Inspection, SharedInspection, TrustAnchor, ValidityTerm
 from keymint.errors import KeymintError
 from keymint.names import name_of
 from keymint.pki import certificates, cms, extensions
@@ -35,19 +35,18 @@ _RESTORED = "'keymint install' restores it"
 _INSTALL = "'keymint build' and 'keymint install' write the document of the sources"
 
 
-def differences(
-    files: Mapping[str, bytes], folder: str, anchors: TrustAnchors, shared: Mapping[str, bytes], shared_folder: str
-) -> tuple[Diagnostic, ...]:
+def differences(enclave: EnclaveFiles) -> tuple[Diagnostic, ...]:
     """Return what the workspace's authorities do not vouch for; see :meth:`keymint.api.Prover.differences`."""
+    anchors = enclave.anchors
     identity, access = anchors.authorities[IDENTITY], anchors.authorities[ACCESS]
     if missing := tuple(anchor_defects((identity, access))):
         return missing
-    rules = IdentityCheck(files, folder, _RESTORED)
+    rules = IdentityCheck(enclave.files, enclave.folder, _RESTORED)
     needed = (CERTIFICATE, IDENTITY_CA) if anchors.public_key else (CERTIFICATE, KEY, IDENTITY_CA)
     own = (*rules.inventory(needed), *rules.anchored(IDENTITY_CA, identity), *rules.identity(identity.chain, anchors))
     # An encrypted key cannot be read without its password.
     readable = (each for each in own if each.code != "key-password")
-    return (*readable, *router_differences(shared, shared_folder, access))
+    return (*readable, *router_differences(enclave.shared, enclave.shared_folder, access))
 
 
 def router_differences(shared: Mapping[str, bytes], shared_folder: str, access: TrustAnchor) -> tuple[Diagnostic, ...]:
@@ -88,9 +87,7 @@ def signature_problem(content: bytes, signature: bytes, authority: bytes) -> str
     return "is not over the configuration beside it: one of them was altered, or is older than the other"
 
 
-def terms(
-    files: Mapping[str, bytes], folder: str, anchors: TrustAnchors, shared: Mapping[str, bytes], shared_folder: str
-) -> tuple[ValidityTerm, ...]:
+def terms(enclave: EnclaveFiles) -> tuple[ValidityTerm, ...]:
     """Return the periods of the certificates of an enclave; see :meth:`keymint.api.Prover.terms`.
 
     Rights have no dates: they end with the certificate.
@@ -98,8 +95,7 @@ def terms(
     Raises:
         KeymintError: a file is missing, or is no certificate.
     """
-    del anchors, shared, shared_folder
-    return tuple(certificate_terms(files, folder, (CERTIFICATE, IDENTITY_CA)))
+    return tuple(certificate_terms(enclave.files, enclave.folder, (CERTIFICATE, IDENTITY_CA)))
 
 
 def check(inspection: Inspection) -> tuple[Diagnostic, ...]:

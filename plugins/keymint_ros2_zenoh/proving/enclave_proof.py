@@ -315,12 +315,13 @@ def prove(task: ProofTask) -> tuple[Claim, ...]:
     """
     if is_router(task.package):
         return ()
-    if found := differences(task.files, task.folder, task.anchors, task.shared, task.shared_folder):
+    enclave = task.enclave
+    if found := differences(enclave):
         raise KeymintError.of(found)
     router = common_name(router_of(task.package))
-    session = read(enclave_file(task.files, task.folder, SESSION), f"{task.folder}/{SESSION}")
-    model = router_access(task.shared[ROUTER], f"{task.shared_folder}/{ROUTER}")
-    at_router = model.of_certificate(first_common_name(task.files[CERTIFICATE]))
+    session = read(enclave_file(enclave.files, enclave.folder, SESSION), f"{enclave.folder}/{SESSION}")
+    model = router_access(enclave.shared[ROUTER], f"{enclave.shared_folder}/{ROUTER}")
+    at_router = model.of_certificate(first_common_name(enclave.files[CERTIFICATE]))
     at_session = AccessModel(session.access_control).of_certificate(router)
     return (*prove_rights(task, at_router, at_session), _connects(task, session, router))
 
@@ -338,7 +339,7 @@ def router_access(content: bytes, file: str) -> AccessModel:
 
 def _connects(task: ProofTask, session: Configuration, router: str) -> Claim:
     """Return the claim that sessions exchange messages with the router alone."""
-    package, file = task.package, f"{task.folder}/{SESSION}"
+    package, file = task.package, f"{task.enclave.folder}/{SESSION}"
     found = (
         *configurations.by_itself(session, package, file),
         *configurations.open_default(session, file),

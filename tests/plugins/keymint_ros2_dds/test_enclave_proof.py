@@ -19,7 +19,7 @@ from keymint_ros2_dds.reading import signed_permissions
 from keymint_ros2_dds.transports.enclave_files import subject_name
 
 from comarmor.errors import Origin
-from keymint.api import BuildOptions, ComparisonTask, DomainRange, Proof, ProofTask
+from keymint.api import BuildOptions, ComparisonTask, DomainRange, EnclaveFiles, Proof, ProofTask
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, smime
 from tests.effort import tries
@@ -45,7 +45,7 @@ def sign(content: bytes) -> bytes:
 def obligation(loaded, files, **fields):
     given_ = {
         "package": loaded, "rules": loaded.grant.rules,
-        "files": files, "folder": "install/talker", "anchors": anchors(loaded),
+        "enclave": EnclaveFiles(files, "install/talker", anchors(loaded)),
         "states": 200_000, "go_on": lambda: True,
     }  # fmt: skip
     return ProofTask(**{**given_, **fields})

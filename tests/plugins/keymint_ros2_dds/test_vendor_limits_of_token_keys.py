@@ -12,7 +12,7 @@ from keymint_ros2_dds.lowering.name_mapping import DISTROS
 from keymint_ros2_dds.settings import BUILD_TYPE, settings_of
 
 from comarmor.errors import Severity
-from keymint.api import BuildOptions, Package
+from keymint.api import BuildOptions, EnclaveFiles, Package
 from keymint.errors import KeymintError
 from tests.plugins.keymint_ros2_dds.builds import CHATTER
 
@@ -88,7 +88,7 @@ def test_check_and_prove_compare_the_uri(content: str | None, code: str) -> None
     found = [each.code for each in build_type.check(inspection(public, present)) if each.code != "file-missing"]
     assert found == ([code] if code else [])
     wanted = replace(anchors(own), key_uri=URI)
-    replaced = [each.code for each in build_type.prover.differences(present, "install/talker", wanted)]
+    replaced = [each.code for each in build_type.prover.differences(EnclaveFiles(present, "install/talker", wanted))]
     assert replaced == (["file-replaced"] if code and content is not None else [])
 
 
@@ -98,7 +98,7 @@ def test_a_uri_that_the_sources_do_not_have_replaces_the_key() -> None:
     assert "key-uri" not in {each.code for each in build_type.check(inspection(own, present))}
     present[KEY_URI] = f"{URI}\n".encode()
     assert "key-uri" in {each.code for each in build_type.check(inspection(own, present))}
-    found = {each.code for each in build_type.prover.differences(present, "", anchors(own))}
+    found = {each.code for each in build_type.prover.differences(EnclaveFiles(present, "", anchors(own)))}
     assert found == {"file-replaced", "file-missing"}  # key.pem, which nodes would read without it
 
 

@@ -11,7 +11,7 @@ import pytest
 from keymint_ros2_dds import build_type
 from keymint_ros2_dds.enclave_proof import prove
 
-from keymint.api import KeySpec, Proof, ProofTask
+from keymint.api import EnclaveFiles, KeySpec, Proof, ProofTask
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, public_keys
 from tests.plugins.keymint_ros2_dds.enclaves import NOW, anchors, authority, installed, revoking
@@ -27,7 +27,7 @@ SUBSETS = list(chain.from_iterable(combinations(SIGNIFICANT, size) for size in r
 
 def claims(files, wanted=None):
     return prove(ProofTask(
-        PLAIN, PLAIN.grant.rules, files, "install/talker", wanted or anchors(PLAIN), 10_000, lambda: True,
+        PLAIN, PLAIN.grant.rules, EnclaveFiles(files, "install/talker", wanted or anchors(PLAIN)), 10_000, lambda: True,
     ))  # fmt: skip
 
 
@@ -40,7 +40,7 @@ def refused(files, wanted=None) -> set[tuple[str, str]]:
 
 def test_what_rests_on_the_workspace_is_proven():
     assert {claim.proof for claim in claims(OURS)} == {Proof.PROVEN}
-    assert not build_type.prover.differences(OURS, "install/talker", anchors(PLAIN))
+    assert not build_type.prover.differences(EnclaveFiles(OURS, "install/talker", anchors(PLAIN)))
 
 
 def test_an_enclave_that_is_wholly_someone_elses():
@@ -143,7 +143,7 @@ def test_a_revocation_list_of_others_takes_nothing_from_the_enclave():
 def test_a_revocation_list_is_in_force_for_a_time():
     """Cyclone DDS and Fast DDS refuse the participant when the list has expired."""
     files = {**OURS, "crl.pem": revoking("identity_ca", 7)}
-    terms = build_type.prover.terms(files, "install/talker", anchors(PLAIN))
+    terms = build_type.prover.terms(EnclaveFiles(files, "install/talker", anchors(PLAIN)))
     found = [term for term in terms if term.where.file == "install/talker/crl.pem"]
     assert [(term.code, term.periods) for term in found] == [
         ("revocation-list", ((NOW - timedelta(days=1), NOW + timedelta(days=60)),)),

@@ -14,7 +14,7 @@ from keymint_ros2_dds.decision.semantics import VARIATIONS
 from keymint_ros2_dds.proving.grant_periods import joined_periods, of_grants
 from keymint_ros2_dds.reading import signed_permissions
 
-from keymint.api import ValidityTerm
+from keymint.api import EnclaveFiles, ValidityTerm
 from keymint.errors import KeymintError
 from tests.effort import tries
 from tests.plugins.keymint_ros2_dds.enclaves import anchors, installed
@@ -116,7 +116,7 @@ def test_terms_of_a_document_that_cannot_be_read_are_an_error_with_its_place():
 def test_an_enclave_has_a_term_for_its_grant_and_each_of_its_certificates():
     loaded = package(rule("ALLOW", "ros_topic", "ros_publish", "/chatter"))
     files = installed(loaded)
-    found = enclave_proof.terms(files, "install/talker", anchors(loaded))
+    found = enclave_proof.terms(EnclaveFiles(files, "install/talker", anchors(loaded)))
     assert [(term.code, term.where.file.rpartition("/")[2]) for term in found] == [
         ("grant", "permissions.xml"),
         ("certificate", "cert.pem"),
@@ -124,7 +124,7 @@ def test_an_enclave_has_a_term_for_its_grant_and_each_of_its_certificates():
         ("authority", "permissions_ca.cert.pem"),
     ]
     with pytest.raises(KeymintError, match="missing"):
-        enclave_proof.terms({}, "install/talker", anchors(loaded))
+        enclave_proof.terms(EnclaveFiles({}, "install/talker", anchors(loaded)))
 
 
 def day(number: int) -> datetime:

@@ -12,7 +12,7 @@ from keymint_ros2_zenoh.lowering.key_rules import lower
 from keymint_ros2_zenoh.proving.enclave_proof import prove_rights
 
 from comarmor.errors import Origin
-from keymint.api import Claim, DomainRange, ProofTask, TrustAnchors
+from keymint.api import Claim, DomainRange, EnclaveFiles, ProofTask, TrustAnchors
 from keymint.ir import SubjectRules
 from tests.plugins.keymint_ros2_zenoh.workspaces import package
 
@@ -37,7 +37,8 @@ def control_of(subjects: Mapping[str, SubjectRules]) -> AccessControl:
 
 def claims_of(rules: SubjectRules, name: str, control: AccessControl, states: int) -> list[Claim]:
     """Return the claims about an enclave whose own sessions are not restricted."""
-    task = ProofTask(package(subject=name), rules, {}, "", TrustAnchors({}, "", "sros2"), states, lambda: True)
+    enclave = EnclaveFiles({}, "", TrustAnchors({}, "", "sros2"))
+    task = ProofTask(package(subject=name), rules, enclave, states, lambda: True)
     session = AccessModel(AccessControl(False, Permission.DENY)).of_certificate(name)
     return list(prove_rights(task, AccessModel(control).of_certificate(name), session))
 

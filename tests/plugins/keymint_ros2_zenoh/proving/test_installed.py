@@ -26,7 +26,7 @@ from keymint_ros2_zenoh.examine.enclaves import differences, terms
 from keymint_ros2_zenoh.proving.enclave_proof import ASSUMPTIONS, prove
 from keymint_ros2_zenoh.proving.shared_proof import prove_shared
 
-from keymint.api import Claim, Package, Proof, ProofTask, SharedProofTask, TrustAnchor, TrustAnchors
+from keymint.api import Claim, EnclaveFiles, Package, Proof, ProofTask, SharedProofTask, TrustAnchor, TrustAnchors
 from keymint.errors import KeymintError
 from keymint.pki import cms
 from tests.plugins.keymint_ros2_zenoh.enclaves import authority, installed, pem, shared
@@ -68,10 +68,14 @@ def anchors_of(of_package: Package) -> TrustAnchors:
 def task(subject: str = "/talker", **changed: Any) -> ProofTask:
     own = of(subject)
     usual = ProofTask(
-        own, own.grant.rules, files_of(subject), f"{FOLDER}{subject}", anchors_of(own), 100_000, lambda: True,
-        shared=router_files(), shared_folder="install",
-    )  # fmt: skip
-    return replace(usual, **changed)
+        own,
+        own.grant.rules,
+        EnclaveFiles(files_of(subject), f"{FOLDER}{subject}", anchors_of(own), router_files(), "install"),
+        100_000,
+        lambda: True,
+    )
+    of_enclave = {name: changed.pop(name) for name in [*changed] if name in EnclaveFiles.__slots__}
+    return replace(usual, enclave=replace(usual.enclave, **of_enclave), **changed)
 
 
 def shared_task(**changed: Any) -> SharedProofTask:
@@ -394,7 +398,7 @@ def test_a_missing_file_of_an_enclave(name: str) -> None:
 
 
 def codes(files: Mapping[str, bytes], subject: str = "/talker") -> set[str]:
-    found = differences(files, f"{FOLDER}{subject}", anchors_of(of(subject)), router_files(), "install")
+    found = differences(EnclaveFiles(files, f"{FOLDER}{subject}", anchors_of(of(subject)), router_files(), "install"))
     return {each.code for each in found}
 
 
@@ -411,12 +415,12 @@ def test_a_missing_authority() -> None:
     anchors = replace(
         anchors_of(TALKER), authorities={**ANCHORS, "access": TrustAnchor("permissions_ca", "public/x.pem", b"")}
     )
-    [found] = differences(files_of("/talker"), "x", anchors, router_files(), "install")
+    [found] = differences(EnclaveFiles(files_of("/talker"), "x", anchors, router_files(), "install"))
     assert (found.code, str(found.where)) == ("authority-missing", "public/x.pem")
 
 
 def test_terms_are_those_of_the_certificates() -> None:
-    found = terms(files_of("/talker"), "x", anchors_of(TALKER), router_files(), "install")
+    found = terms(EnclaveFiles(files_of("/talker"), "x", anchors_of(TALKER), router_files(), "install"))
     assert [(each.code, str(each.where)) for each in found] == [
         ("certificate", f"x/{CERTIFICATE}"), ("authority", f"x/{IDENTITY_CA}"),
     ]  # fmt: skip
