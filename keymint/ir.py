@@ -4,18 +4,23 @@
 A policy plugin turns its format into these types, and a build plugin turns them into a transport's documents.
 The rules are mandatory access control in which DENY overrides ALLOW: a request (kind, permission, object) is denied if
 any DENY rule matches it, else allowed if any ALLOW rule does, else denied. The order of rules has no meaning.
+
+Subjects of a kind (:func:`kind_of`) have the same rules but for the literal names in these. A compiler does its work
+once for a kind, and puts the names of each member into the result (docs/adr/0026-kinds.md).
 """
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from functools import lru_cache
 from typing import Any
 
-from comarmor.rules import Rule
+from comarmor.patterns.tokens import SPECIAL
+from comarmor.rules import Effect, Rule
 from comarmor.values import dataclass
 
-__all__ = ["DeferredRules", "Rule", "SubjectRules"]
+__all__ = ["Arguments", "DeferredRules", "Kind", "Rule", "SubjectRules", "kind_of"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,3 +59,35 @@ class DeferredRules(SubjectRules):
     def __reduce__(self) -> tuple[Any, ...]:
         """Return what another process makes of them: rules that were read."""
         return SubjectRules, (self.subject, self.rules)
+
+
+KindRule = tuple[Effect, str, tuple[str, ...], tuple[str | int, ...], tuple[str, ...], bool]
+"""Effect, kind, permissions, expressions, partitions and audit of a rule; a number is that of an argument."""
+Kind = tuple[KindRule, ...]
+"""The rules of a subject with numbers in place of literal names."""
+Arguments = tuple[str, ...]
+"""The literal names of a subject's rules, without duplicates, in the order of their first mention."""
+
+
+def kind_of(rules: Iterable[Rule]) -> tuple[Kind, Arguments]:
+    """Return the kind of a subject's rules, and the names that the subject puts into it.
+
+    Two subjects have the same rules exactly if kind and arguments are the same; where a rule is written does not count.
+
+    Args:
+        rules: the rules of a subject, in the order of the policy.
+    """
+    numbers: dict[str, int] = {}
+    kind = []
+    for rule in rules:
+        expressions = tuple(
+            text if SPECIAL.search(text) else numbers.setdefault(text, len(numbers)) for text in rule.expressions
+        )
+        kind.append((rule.effect, rule.kind, rule.permissions, expressions, rule.partitions, rule.audit))
+    return _shared(tuple(kind)), tuple(numbers)
+
+
+@lru_cache(maxsize=1 << 12)
+def _shared(kind: Kind) -> Kind:
+    """Return one object for equal kinds, so that they are compared, and kept, once."""
+    return kind

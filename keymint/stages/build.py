@@ -13,7 +13,7 @@ from comarmor.errors import Defects, Diagnostic, Origin
 from keymint.api import BuildOptions, BuildResult, LoadedPolicy, Package
 from keymint.errors import KeymintError
 from keymint.executors import Pool
-from keymint.keymake.kinds import kind_of
+from keymint.ir import kind_of
 from keymint.life import terms
 from keymint.names import name_of, subject_of
 from keymint.stages import identity_keys

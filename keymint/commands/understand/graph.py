@@ -229,12 +229,14 @@ def _labelled(
 
 def _drawn(run: Run, labelled: LabelledGraph, kind: str, options: DrawingOptions, scale: float) -> bytes:
     # Templates are slow to import, and no other verb needs them.
-    from keymint.drawing import dot, html_report, raster, svg  # noqa: PLC0415
+    from keymint.drawing.html_report import html_report  # noqa: PLC0415
+    from keymint.drawing.other_formats import dot, png  # noqa: PLC0415
+    from keymint.drawing.svg import svg  # noqa: PLC0415
 
     if kind == "dot":
-        return dot.dot(labelled, options)
+        return dot(labelled, options)
     if kind == "html":
-        return html_report.html_report(labelled, sources(run, labelled), options)
+        return html_report(labelled, sources(run, labelled), options)
     if kind == "png":
-        return raster.png(svg.svg(labelled, options), scale)
-    return svg.svg(labelled, options)
+        return png(svg(labelled, options), scale)
+    return svg(labelled, options)

@@ -21,8 +21,7 @@ from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.values import dataclass
 from keymint.api import Claim, Counterexample, DomainRange, Proof, ValidityTerm
 from keymint.errors import KeymintError
-from keymint.ir import Rule, SubjectRules
-from keymint.keymake.kinds import Kind, kind_of
+from keymint.ir import Kind, Rule, SubjectRules, kind_of
 from keymint.life import terms
 from keymint.names import name_of
 from keymint.view.stamps import Stamp, State, digest

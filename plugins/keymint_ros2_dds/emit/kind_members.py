@@ -22,7 +22,7 @@ from comarmor.rules import is_fully_qualified
 from comarmor.values import dataclass
 from keymint.api import BuildOptions, Claim, DomainRange, Grant, Package, Validity
 from keymint.errors import KeymintError
-from keymint.keymake.kinds import Arguments, Kind, kind_of
+from keymint.ir import Arguments, Kind, kind_of
 from keymint_ros2_dds.compiling.grant_compiler import Compiled, vendor_notes
 from keymint_ros2_dds.compiling.rewriting import gathered_rules
 from keymint_ros2_dds.decision.semantics import VARIATIONS

@@ -15,7 +15,7 @@ from comarmor.patterns.decision_lists import DecisionList, ProofResult, Unknown,
 from comarmor.patterns.proofs import escapes
 from comarmor.patterns.tokens import PatternError
 from keymint.api import Claim, ComparisonTask, DomainRange, Proof
-from keymint.keymake.kinds import Arguments, Kind, kind_of
+from keymint.ir import Arguments, Kind, kind_of
 from keymint_ros2_dds.decision.evaluator import DomainAccess
 from keymint_ros2_dds.decision.semantics import VARIATIONS, Semantics, shipped_models
 from keymint_ros2_dds.documents import dds_xml

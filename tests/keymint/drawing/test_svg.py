@@ -11,8 +11,8 @@ from lxml import etree
 
 from keymint.api.graph import MISMATCHES, Object
 from keymint.drawing.appearance import Theme
-from keymint.drawing.dot import dot
 from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, select_edges
+from keymint.drawing.other_formats import dot
 from keymint.drawing.simplify import DrawingOptions, Split, shown_edges
 from keymint.drawing.svg import svg
 

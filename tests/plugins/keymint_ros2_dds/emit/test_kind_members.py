@@ -26,8 +26,7 @@ from comarmor.rules import parts
 from keymint.analysis.subject_patterns import rules_of
 from keymint.api import BuildOptions, BuildResult, DomainRange, Package, Proof, Validity
 from keymint.errors import KeymintError
-from keymint.ir import Rule, SubjectRules
-from keymint.keymake.kinds import kind_of
+from keymint.ir import Rule, SubjectRules, kind_of
 from tests.effort import tries
 from tests.generated import pretty, tokens
 from tests.keymint.analysis.policies import loaded_text

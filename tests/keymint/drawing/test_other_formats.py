@@ -10,9 +10,8 @@ import sys
 import pytest
 
 from keymint.api.plugin_loader import how_to_add
-from keymint.drawing import raster
-from keymint.drawing.dot import dot
-from keymint.drawing.raster import png
+from keymint.drawing import other_formats
+from keymint.drawing.other_formats import dot, png
 from keymint.drawing.simplify import DrawingOptions
 from keymint.drawing.svg import svg
 from keymint.errors import KeymintError
@@ -34,7 +33,7 @@ def test_png_has_the_size_that_was_asked_for() -> None:
 
 
 def test_a_large_picture_is_made_smaller(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(raster, "MOST_PIXELS", 10_000)
+    monkeypatch.setattr(other_formats, "MOST_PIXELS", 10_000)
     width, height = size(png(svg(one_of_each()), 10))
     assert width * height < 11_000
 
