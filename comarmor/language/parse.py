@@ -46,12 +46,8 @@ class _PlacedElement:
         return (self.document.place(self.element), *self.chain)
 
 
-@dataclass(frozen=True, slots=True)
-class _Fragment:
-    """The rules of a file that are the same wherever it is included, and the characters of its expressions."""
-
-    rules: tuple[ProfileRule, ...]
-    characters: int
+_Fragment = tuple[tuple[ProfileRule, ...], int]
+"""The rules of a file that are the same wherever it is included, and the characters of its expressions."""
 
 
 @dataclass(slots=True)
@@ -132,7 +128,7 @@ class _PolicyParser:
         if key not in self.fragments:
             self.fragments[key] = _PolicyParser(fragments=self.fragments).alone(*key)
         fragment = self.fragments[key]
-        return fragment if fragment and self.budget.used + fragment.characters <= MOST_EXPANDED_CHARACTERS else None
+        return fragment if fragment and self.budget.used + fragment[1] <= MOST_EXPANDED_CHARACTERS else None
 
     def alone(self, document: PolicyFile, audit: bool) -> _Fragment | None:
         """Return the rules of a file; None if it has other elements, needs tunables, or has defects."""
@@ -145,13 +141,13 @@ class _PolicyParser:
                 rules.append(self.rule(child, TunableScope(self.budget), audit=audit))
             else:
                 return None
-        return None if self.diagnostics else _Fragment(tuple(rules), self.budget.used)
+        return None if self.diagnostics else (tuple(rules), self.budget.used)
 
     def inclusion(self, include: _PlacedElement, *, audit: bool) -> Inclusion:
         """Return the rules of an include that has a :meth:`fragment`."""
-        fragment = self.fragments[include.document.includes[include.element], audit]
-        self.budget.used += fragment.characters if fragment else 0
-        return Inclusion(fragment.rules if fragment else (), include.inner_chain)
+        rules, characters = self.fragments[include.document.includes[include.element], audit] or ((), 0)
+        self.budget.used += characters
+        return Inclusion(rules, include.inner_chain)
 
     def profiles(self, item: _PlacedElement, scope: TunableScope) -> tuple[Profile, ...]:
         """Return the profiles in a ``<profiles>`` element."""

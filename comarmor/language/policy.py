@@ -41,38 +41,28 @@ class Ruling:
     reason: Reason
 
 
-class RuleIndex:
-    """The rules of one subject, indexed by permission.
+def rule_row(rules: Sequence[Rule], kind: str, permission: str, known: dict[tuple[str, str], Row]) -> Row:
+    """Return what rules say about a permission.
 
     Args:
-        rules: the subject's rules, expanded for it; their order has no meaning.
+        rules: the rules of a subject, expanded for it; their order has no meaning.
+        kind: kind of the object.
+        permission: a permission of that kind.
+        known: the rows of these rules so far, by kind and permission; it gets the new ones.
+
+    Raises:
+        ComArmorError: the kind or the permission is not known.
     """
-
-    __slots__ = ("_rows", "_rules")
-
-    def __init__(self, rules: Sequence[Rule]) -> None:
-        self._rules = rules
-        self._rows: dict[tuple[str, str], Row] = {}
-
-    def row(self, kind: str, permission: str) -> Row:
-        """Return what the rules say about a permission.
-
-        Args:
-            kind: kind of the object.
-            permission: a permission of that kind.
-
-        Raises:
-            ComArmorError: the kind or the permission is not known.
-        """
-        row = self._rows.get((kind, permission))
-        if row is None:
-            _known(kind, permission)
-            if parts := PARTS.get((kind, permission)):
-                row = _CompositeRow(kind, permission, [(self.row(*part[:2]), part[2]) for part in parts])
-            else:
-                row = _ElementaryRow(self._rules, kind, permission)
-            self._rows[kind, permission] = row
-        return row
+    row = known.get((kind, permission))
+    if row is None:
+        _known(kind, permission)
+        if parts := PARTS.get((kind, permission)):
+            own = [(rule_row(rules, part_kind, part, known), suffix) for part_kind, part, suffix in parts]
+            row = _CompositeRow(kind, permission, own)
+        else:
+            row = _ElementaryRow(rules, kind, permission)
+        known[kind, permission] = row
+    return row
 
 
 class Row(ABC):
@@ -279,7 +269,7 @@ class Policy:
     shipped: tuple[ShippedFile, ...] = ()
     _level: _ProfileLookup = field(init=False, repr=False)
     _cached_rules: dict[str, tuple[Rule, ...]] = field(init=False, repr=False, default_factory=dict)
-    _indexes: dict[str, RuleIndex] = field(init=False, repr=False, default_factory=dict)
+    _rows: dict[str, dict[tuple[str, str], Row]] = field(init=False, repr=False, default_factory=dict)
     _shared_rules: dict[int, Rule] = field(init=False, repr=False, default_factory=dict)
     """By identity of the profile's rule: the rules that are the same for all subjects."""
 
@@ -347,12 +337,10 @@ class Policy:
 
     def row(self, subject: str, kind: str, permission: str) -> Row:
         """Return what the rules of a subject say about a permission, for many requests; see :meth:`decide`."""
-        index = self._indexes.get(subject)
-        if index is None:
-            if len(self._indexes) >= _MOST_INDEXED:
-                self._indexes.clear()
-            index = self._indexes[subject] = RuleIndex(self.rules(subject))
-        return index.row(kind, permission)
+        if len(self._rows) >= _MOST_INDEXED and subject not in self._rows:
+            self._rows.clear()
+        rows = self._rows.setdefault(subject, {})
+        return rows.get((kind, permission)) or rule_row(self.rules(subject), kind, permission, rows)
 
     def decide(
         self,

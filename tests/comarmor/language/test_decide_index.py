@@ -8,7 +8,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from comarmor.errors import ComArmorError, Origin
-from comarmor.language.policy import RuleIndex
+from comarmor.language.policy import Row, rule_row
 from comarmor.rules import PARTS, PERMISSIONS, Effect, Rule
 from tests.comarmor.language.reference_evaluator import decide
 
@@ -54,10 +54,10 @@ TWICE = Rule(Effect.ALLOW, "ros_action", ("ros_request",), ("/a",), (), False, O
 def test_the_index_decides_as_the_reference(
     drawn: list[Rule], requests: list[tuple[tuple[str, str], str, tuple[str, ...]]]
 ) -> None:
-    index = RuleIndex(drawn)
+    known: dict[tuple[str, str], Row] = {}
     for (kind, permission), name, partitions in requests:
         expected = decide(drawn, kind, permission, name, partitions)
-        decided = index.row(kind, permission).decision(name, partitions)
+        decided = rule_row(drawn, kind, permission, known).decision(name, partitions)
         assert decided == expected
         assert decided.audit == expected.audit
 
@@ -65,12 +65,11 @@ def test_the_index_decides_as_the_reference(
 @given(st.lists(rules(), max_size=6), REQUESTS, st.lists(NAMES, max_size=8))
 def test_many_names_are_decided_as_one_by_one(drawn: list[Rule], request: tuple[str, str], names: list[str]) -> None:
     expected = bytes(decide(drawn, *request, name).allowed for name in names)
-    assert RuleIndex(drawn).row(*request).allowed(names) == expected
+    assert rule_row(drawn, *request, {}).allowed(names) == expected
 
 
 def test_an_unknown_kind_or_permission_is_refused() -> None:
-    index = RuleIndex(())
     with pytest.raises(ComArmorError, match=r"unknown kind 'ros_topics'.*ros_topic"):
-        index.row("ros_topics", "ros_publish")
+        rule_row((), "ros_topics", "ros_publish", {})
     with pytest.raises(ComArmorError, match=r"unknown permission 'ros_call' of ros_topic"):
-        index.row("ros_topic", "ros_call")
+        rule_row((), "ros_topic", "ros_call", {})
