@@ -25,7 +25,7 @@ below, since stages and the life of keys ask
 ``keymint.pki.foreign_authorities``           what the certificate of an authority lacks
 ``keymint.authority.authority_files``         evidence for an authority's key: ``require_*``
 ``keymint.stages.proof.trust_anchors``        what an enclave must rest on, and what contradicts it
-``keymint.stages.identity_keys``              a key has one owner
+``keymint.stages.identities``              a key has one owner
 ``keymint.life.terms``                        what is over, to come, or ends soon
 ``keymint.life.revocation_lists_in_force``    the list that an enclave must have
 ``keymint.adoption``                          reads keystores of other tools, and compares them with a policy

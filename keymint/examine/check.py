@@ -43,9 +43,9 @@ from keymint.executors import Pool
 from keymint.life.workspace_register import withdrawn
 from keymint.names import subject_of
 from keymint.pki import key_files, keys
-from keymint.stages import identity_keys
+from keymint.stages import identities
 from keymint.stages.documents import built_documents
-from keymint.stages.identity_keys import Keyring
+from keymint.stages.identities import Keyring
 from keymint.stages.proof.trust_anchors import unvouched
 from keymint.store.changes import file_mode
 from keymint.view.stamps import digest
@@ -106,7 +106,7 @@ def load(session: Session, name: str, within: timedelta) -> LoadedEnclave:
 
 
 def examine(
-    session: Session, loaded: LoadedEnclave, keyring: identity_keys.Keyring
+    session: Session, loaded: LoadedEnclave, keyring: identities.Keyring
 ) -> tuple[str, str, tuple[Diagnostic, ...]]:
     """Check one enclave, and what of it the authorities of the workspace do not vouch for.
 
@@ -205,7 +205,7 @@ def _built(build_type: BuildType, package: Package) -> Mapping[str, bytes]:
 
 
 def _identity_key(
-    session: Session, package: Package, keyring: identity_keys.Keyring
+    session: Session, package: Package, keyring: identities.Keyring
 ) -> tuple[str, tuple[Diagnostic, ...]]:
     """Return the fingerprint of a package's key (empty if it cannot be read), and the findings on it.
 
@@ -224,7 +224,7 @@ def _identity_key(
             message = f"the private key of {subject} is not here"
             where, help_ = session.workspace.origin(path), f"'keymint build {package.name}' restores it"
             return "", (Diagnostic.note("key-missing", message, where, help_, subject),)
-        key = identity_keys.public_key(session, package)
+        key = identities.public_key(session, package)
         fingerprint = keys.fingerprint(key)
         keyring.require_own(package, key)
         if pem is not None and package.issuance.public_key:
@@ -300,7 +300,7 @@ def check(session: Session, names: Sequence[str], within: timedelta, pool: Pool)
     findings += orphan_findings(session)
     findings += (each for each in decides if each not in findings)  # the defects of packages are found above
     fingerprints = {name: fingerprint for name, fingerprint, _ in enclaves if fingerprint}
-    findings += identity_keys.shared_keys(session, fingerprints)
+    findings += identities.shared_keys(session, fingerprints)
     findings += (*elsewhere(session), *encryption(session), *exposed_keys(session))
     findings += around
     later = _without_install_hints(findings, in_defect(of_authorities))

@@ -21,7 +21,7 @@ from keymint.names import subject_of
 from keymint.pki import keys, public_keys
 from keymint.pki.distinguished_names import common_name
 from keymint.robots.certification_request import CertificationRequest
-from keymint.stages.identity_keys import Keyring, known_fingerprint
+from keymint.stages.identities import Keyring, known_fingerprint
 from keymint.store.changes import Plan
 from keymint.workspace.session import Session
 

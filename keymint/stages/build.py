@@ -16,7 +16,7 @@ from keymint.executors import Pool
 from keymint.ir import kind_of
 from keymint.life import terms
 from keymint.names import name_of, subject_of
-from keymint.stages import identity_keys
+from keymint.stages import identities
 from keymint.stages.documents import (
     build_shared,
     documents_folder,
@@ -123,7 +123,7 @@ def _plan_documents(session: Session, name: str, options: BuildOptions, *, force
     context = digest(repr(options))
     stamp = session.state.stamp(STAGE, name)
     same = stamp is not None and stamp.context == context and package_build_types.is_build_current(session, name)
-    may_stay = same and not force and not renew and (shared or identity_keys.is_there(session, name))
+    may_stay = same and not force and not renew and (shared or identities.is_there(session, name))
     if stamp and may_stay and (step := kept_documents_step(session, name, stamp)):
         return PackagePlan(name, step, lifetimes=() if shared else terms.recorded_terms(session, name, stamp))
     package = None if shared else session.package(name)
@@ -187,13 +187,13 @@ def _key(session: Session, package: Package, *, renew: bool) -> tuple[tuple[Fold
         KeymintError: the stored key cannot be used, or the key to replace is elsewhere.
     """
     if renew:
-        identity_keys.refuse_elsewhere(session, package.name)
-    if package.issuance.public_key or identity_keys.is_awaited(package):
+        identities.refuse_elsewhere(session, package.name)
+    if package.issuance.public_key or identities.is_awaited(package):
         return (), ""  # the private key is on the subject's machine, and none is needed here
     if not renew and session.tree.read(session.workspace.identity_key(package.name)) is not None:
-        identity_keys.public_key(session, package)
+        identities.public_key(session, package)
         return (), ""
-    new_key = identity_keys.mint if renew else identity_keys.restore_or_mint
+    new_key = identities.mint if renew else identities.restore_or_mint
     change, fingerprint = new_key(session, package)
     return (change,), fingerprint
 

@@ -21,7 +21,7 @@ from keymint.authority.authorities import MintedAuthority
 from keymint.authority.authority_files import trusted_chains
 from keymint.errors import KeymintError
 from keymint.names import subject_of
-from keymint.stages.signing import Signers, authority_of
+from keymint.stages.identities import Signers, authority_of
 from keymint.stages.work import PackagePlan
 from keymint.store.changes import Action, File, FolderChange, Step, by_folder
 from keymint.view.stamps import Stamp, digest, digest_files

@@ -21,7 +21,7 @@ from keymint.life.workspace_register import register_of
 from keymint.names import subject_of
 from keymint.pki import certificates
 from keymint.pki.distinguished_names import to_text
-from keymint.stages import identity_keys
+from keymint.stages import identities
 from keymint.stages.documents import (
     OUTDATED,
     built_documents,
@@ -34,8 +34,7 @@ from keymint.stages.documents import (
     sign_shared,
 )
 from keymint.stages.environment_scripts import plan_scripts
-from keymint.stages.identity_keys import Keyring
-from keymint.stages.signing import sign
+from keymint.stages.identities import Keyring, sign
 from keymint.stages.work import PackagePlan, state_after, steps_of
 from keymint.store.changes import Action, File, FolderChange, Plan, Step, by_folder
 from keymint.view.stamps import Stamp, digest, digest_files
@@ -96,7 +95,7 @@ class InstallStage:
         session, prune = self._session, self._prune
         fingerprints = {each.name: each.fingerprint for each in planned if each.fingerprint}
         errors = [error for each in planned for error in each.errors]
-        errors += identity_keys.shared_keys(session, fingerprints)
+        errors += identities.shared_keys(session, fingerprints)
         if errors:
             raise KeymintError.of(errors)
         # Shared documents come first: rights end before an enclave is removed, and begin before one is there. So do
@@ -160,7 +159,7 @@ def _plan_enclave(
 ) -> PackagePlan:
     workspace = session.workspace
     inputs = inputs_of(session, name)
-    if inputs is None and is_built(session, name) and identity_keys.is_awaited(session.package(name)):
+    if inputs is None and is_built(session, name) and identities.is_awaited(session.package(name)):
         return _awaiting(session, session.package(name))
     if inputs is None:
         raise _not_built(session, name, f"the package {name} is")
@@ -178,11 +177,11 @@ def _plan_enclave(
         return PackagePlan(name, Step(STAGE, name, Action.UNCHANGED), lifetimes=own)
     package, folder = session.package(name), session.enclave(name)
     own = terms.lifetimes(package)
-    if identity_keys.is_awaited(package):
+    if identities.is_awaited(package):
         return _awaiting(session, package)
     documents = built_documents(session, name)
     existing, unreadable = enclave_files(session, name)
-    key_pem, public = identity_keys.private_key(session, package), identity_keys.public_key(session, package)
+    key_pem, public = identities.private_key(session, package), identities.public_key(session, package)
     fingerprint = keyring.require_own(package, public)
     if reason := register_of(session).barred(fingerprint):
         return PackagePlan(name, withdrawn=reason)
@@ -336,7 +335,7 @@ def _awaiting(session: Session, package: Package) -> PackagePlan:
     if package.name in enclave_names(session) and (reason := register_of(session).withdrawn(package.name)):
         return PackagePlan(package.name, withdrawn=reason)
     kept = Step(STAGE, package.name, Action.KEPT, detail="waits for a request of its robot")
-    diagnostics = (identity_keys.unknown_key(package),)
+    diagnostics = (identities.unknown_key(package),)
     return PackagePlan(package.name, kept, diagnostics=diagnostics, lifetimes=terms.lifetimes(package))
 
 
@@ -380,7 +379,7 @@ def would_stay(session: Session, name: str, authorities: Mapping[str, MintedAuth
 def inputs_of(session: Session, name: str) -> str | None:
     """Return the digest of all that an enclave, or shared documents, are made from, or None if that is not built."""
     documents, shared = document_digests(session, name), shared_type(name)
-    key = "" if shared else identity_keys.key_digest(session, name)
+    key = "" if shared else identities.key_digest(session, name)
     if documents is None or key is None:
         return None
     built = (part for item in sorted(documents.items()) for part in item)

@@ -34,8 +34,8 @@ from keymint.life.workspace_register import with_enclaves
 from keymint.names import subject_list, subject_of
 from keymint.output.report import Report, findings_if
 from keymint.run.run import Run, exit_code_of
+from keymint.stages.package_status import packages_of, refuse_new_authorities, renewable_packages
 from keymint.stages.pipeline import Request, conduct, updated_packages
-from keymint.stages.renewed_packages import packages_of, refuse_new_authorities, renewable_packages
 from keymint.stages.rollover_phases import DEFERRED, STAGE, in_step
 from keymint.stages.work import InstallRequest, Work
 from keymint.store.changes import Plan

@@ -241,7 +241,7 @@ def _refutation(subject: str, counterexample: Counterexample, models: str) -> Di
     return Diagnostic.error("counterexample", message, where, help_, subject)
 
 
-_RULES, _CLAIMS, _TERMS, _WRITTEN = "rules", "claims", "terms", "written"
+_RULES, _CLAIMS, _TERMS, WRITTEN = "rules", "claims", "terms", "written"
 """Keys of the outputs."""
 
 
@@ -298,16 +298,6 @@ def load_proof(stamp: Stamp, folder: str) -> tuple[tuple[Claim, ...], tuple[Vali
 def has_rules(stamp: Stamp, rules: Iterable[SubjectRules]) -> bool:
     """Tell whether a proof was made of the same rules, wherever they are written."""
     return stamp.outputs.get(_RULES) == _rules_digest(rules)
-
-
-def with_proof_digest(outputs: Mapping[str, str], rules: str) -> Mapping[str, str]:
-    """Return the outputs of a stamp with a digest of the rules and of their files, if there is one."""
-    return {**outputs, _WRITTEN: rules} if rules else outputs
-
-
-def has_written(stamp: Stamp, rules: str) -> bool:
-    """Tell whether a proof was made of the same rules in the same files; takes their digest."""
-    return bool(rules) and stamp.outputs.get(_WRITTEN) == rules
 
 
 def _rules_digest(rules: Iterable[SubjectRules]) -> str:

@@ -218,11 +218,11 @@ class ProofStage:
 
     def _same_rules(self, stamp: Stamp, subjects: Iterable[str]) -> bool:
         """Tell whether the policy has the same rules for some subjects as when the stamp was made."""
-        return (
-            stamp.context == self._policy_digest
-            or proof_results.has_written(stamp, self._written(subjects))
-            or proof_results.has_rules(stamp, [self._rules(subject) for subject in subjects])
-        )
+        if stamp.context == self._policy_digest:
+            return True
+        if (written := self._written(subjects)) and stamp.outputs.get(proof_results.WRITTEN) == written:
+            return True
+        return proof_results.has_rules(stamp, [self._rules(subject) for subject in subjects])
 
     def _written(self, subjects: Iterable[str]) -> str:
         """Return a digest that is the same if the rules of some subjects are, and their files; or an empty text."""
@@ -233,7 +233,8 @@ class ProofStage:
         """Return a stamp as the present policy has it, or None if it is that already."""
         if stamp.context == self._policy_digest:
             return None
-        outputs = proof_results.with_proof_digest(stamp.outputs, self._written(subjects))
+        written = self._written(subjects)
+        outputs = {**stamp.outputs, proof_results.WRITTEN: written} if written else stamp.outputs
         return replace(stamp, context=self._policy_digest, outputs=outputs)
 
     def _shown(self, name: str) -> str:

@@ -268,7 +268,7 @@ def test_an_authority_in_a_token_below_one_in_a_token(keymint, in_token: Path, s
 def test_many_packages_are_signed_in_one_process(
     keymint, tmp_path: Path, ws: Path, in_token: Path, signatures: Counter[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("keymint.run.workers.MIN_PACKAGES", 1)
+    monkeypatch.setattr("keymint.run.execution.MIN_PACKAGES", 1)
     for enclave in ENCLAVES:
         expire_soon(in_token, enclave)
     assert keymint("build", "-j2", cwd=in_token).code == 0

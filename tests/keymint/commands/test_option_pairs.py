@@ -342,7 +342,7 @@ def test_processes_make_the_second_plan_as_well(keymint, tmp_path: Path, verb: s
     if verb == "install":
         built(keymint, Workspace(ws), ())
     given_up: list[object] = []
-    monkeypatch.setattr("keymint.run.workers.Workers.give_up", given_up.append)
+    monkeypatch.setattr("keymint.run.execution.Workers.give_up", given_up.append)
     words = ("provision", policy) if verb == "provision" else ("install",)
     outcome = keymint(*words, "-w", ws, "-j2", "--revoke-superseded", "--prune", "--json")
     assert (outcome.code, given_up) == (0, []), outcome.out

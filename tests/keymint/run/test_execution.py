@@ -10,8 +10,7 @@ from typing import Any
 import pytest
 
 from keymint.errors import KeymintError
-from keymint.run.execution import RECORD, execute, open_store
-from keymint.run.workers import Workers
+from keymint.run.execution import RECORD, Workers, execute, open_store
 from keymint.store.changes import Action, File, FolderChange, Plan, Step
 from keymint.store.journal import Journal
 from keymint.view.stamps import Stamp, State, load

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import pytest
 
-from keymint.run.workers import MIN_PACKAGES
+from keymint.run.execution import MIN_PACKAGES
 from tests.conftest import Outcome, snapshot
 
 Keymint = Callable[..., Outcome]
@@ -35,16 +35,16 @@ PROFILE = """<profile name="p{n}">
 """
 MAIN = """
 import sys
-from keymint.run import workers
+from keymint.run import execution
 from keymint.cli import main
-workers.MIN_PACKAGES = 10
+execution.MIN_PACKAGES = 10
 sys.exit(main(sys.argv[1:]))
 """
 SPY = """
 import multiprocessing.connection, os, sys
-from keymint.run import workers
+from keymint.run import execution
 from keymint.cli import main
-workers.MIN_PACKAGES = 10
+execution.MIN_PACKAGES = 10
 whole = multiprocessing.connection.Connection._send_bytes
 def copied(self, content):
     with open(f"{os.environ['SPY']}/{os.getpid()}", "ab") as file:
@@ -55,9 +55,9 @@ sys.exit(main(sys.argv[1:]))
 """
 ENDED = """
 import os, signal, sys
-from keymint.run import workers
+from keymint.run import execution
 from keymint.cli import main
-workers.MIN_PACKAGES = 10
+execution.MIN_PACKAGES = 10
 from keymint.stages.{module} import {stage}
 package = {stage}.package
 def ended(self, name):
@@ -158,10 +158,10 @@ def test_a_refused_proof_is_explained_as_by_one_process(keymint: Keymint, tmp_pa
 
 ENDED_BEFORE_STAGING = """
 import os, signal, sys
-from keymint.run import workers
+from keymint.run import execution
 from keymint.cli import main
-from keymint.run.workers import Workers
-workers.MIN_PACKAGES = 10
+from keymint.run.execution import Workers
+execution.MIN_PACKAGES = 10
 stage = Workers.stage
 def staged(self, store):
     process = self._processes[-1]

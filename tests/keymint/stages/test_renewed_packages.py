@@ -15,7 +15,7 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Issuance
 from keymint.errors import KeymintError
 from keymint.pki import public_keys
-from keymint.stages.renewed_packages import packages_of, refuse_new_authorities, renewable_packages
+from keymint.stages.package_status import packages_of, refuse_new_authorities, renewable_packages
 from keymint.store.changes import Action, File, FolderChange, Plan, Step
 from tests.keymint.stages.sessions import session_of
 

@@ -9,7 +9,7 @@ import pytest
 
 from keymint.authority.authorities import plan_authorities
 from keymint.errors import KeymintError
-from keymint.stages.signing import Signers
+from keymint.stages.identities import Signers
 from tests.keymint.stages.keystores import AUTHORITY_KEYS
 from tests.keymint.stages.sessions import session_of
 
