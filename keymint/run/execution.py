@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, is_dataclass, replace
 from datetime import datetime
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 from keymint.authority.authorities import STAGE as AUTHORITIES
 from keymint.errors import KeymintError, process_ended
@@ -52,8 +52,7 @@ MIN_PACKAGES = 64
 
 _DONE, _REFUSED, _CRASHED = "done", "refused", "crashed"
 """Kinds of answers of a process."""
-_T = TypeVar("_T")
-_Stages = Sequence[Callable[[Session], PackageStage[Any]]]
+_Stages = Sequence[Callable[[Session], PackageStage]]
 
 
 class Workers:
@@ -105,7 +104,7 @@ class Workers:
             self._processes.append(process)
             self._pipes.append(here)
 
-    def planned(self, stage: PackageStage[_T], names: Sequence[str]) -> list[_T]:
+    def planned(self, stage: PackageStage, names: Sequence[str]) -> list[Any]:
         """Return what a stage plans for each package.
 
         Raises:

@@ -25,7 +25,7 @@ from keymint.stages.documents import (
     refuse_edits,
     removals,
 )
-from keymint.stages.work import PackagePlan, state_after, steps_of
+from keymint.stages.work import PackagePlan, PackageStage, state_after, steps_of
 from keymint.store.changes import Action, DocumentSize, FolderChange, Plan, Step, folder_changes
 from keymint.view.stamps import Stamp, digest
 from keymint.workspace import package_build_types
@@ -36,7 +36,7 @@ from keymint.workspace.session import Session
 STAGE = BUILD
 
 
-class BuildStage:
+class BuildStage(PackageStage):
     """The stage ``build``.
 
     Args:
@@ -65,7 +65,8 @@ class BuildStage:
         self._force = force
         self._renew = renew
         self._followers = followers
-        self._places = RulePlaces(session, policy)
+        self._policy = policy
+        self._moved = functools.cache(self._moves)
 
     def package(self, name: str) -> PackagePlan:
         """Return the plan for a package."""
@@ -74,10 +75,10 @@ class BuildStage:
             renew = self._renew and name not in self._followers
             plan = _plan_documents(self._session, name, self._options_of(name), force=self._force, renew=renew)
         except KeymintError as error:
-            return PackagePlan(name, errors=self._places.in_policy(error.diagnostics, subject))
+            return PackagePlan(name, errors=self._in_policy(error.diagnostics, subject))
         if not plan.diagnostics:
             return plan
-        return replace(plan, diagnostics=self._places.in_policy(plan.diagnostics, subject))
+        return replace(plan, diagnostics=self._in_policy(plan.diagnostics, subject))
 
     def _options_of(self, name: str) -> BuildOptions:
         return self._options or options_as_built(self._session, name)
@@ -93,13 +94,45 @@ class BuildStage:
             options = self._options_of(planned[0].name) if planned else self._options or BuildOptions()
             shared = _plan_shared(built, options, force=self._force)
         except KeymintError as error:
-            raise KeymintError.of(self._places.in_policy(error.diagnostics)) from error
-        diagnostics |= dict.fromkeys(self._places.in_policy(each for plan in shared for each in plan.diagnostics))
+            raise KeymintError.of(self._in_policy(error.diagnostics)) from error
+        diagnostics |= dict.fromkeys(self._in_policy(each for plan in shared for each in plan.diagnostics))
         if steps and not (own := session.profile).distro_named:
             message = f"no distribution is named; as far as installed documents tell, the robots have {own.distro}"
             help_ = f"write <layout>{own.layout}</layout><distro>{own.distro}</distro> into <export>, or what they have"
             diagnostics[Diagnostic.warning("distro-unnamed", message, session.profile_marker(), help_)] = None
         return Plan((*steps, *steps_of(shared)), state_after(built.state, STAGE, shared), tuple(diagnostics))
+
+    def _in_policy(self, diagnostics: Iterable[Diagnostic], subject: str = "") -> tuple[Diagnostic, ...]:
+        """Return diagnostics about built packages with the places that their rules have now.
+
+        Args:
+            diagnostics: the diagnostics, which cite the places that the sources of the packages state.
+            subject: whose diagnostics these are; if empty, each names its own.
+        """
+        return tuple(self._with_present_place(each, subject or each.subject) for each in diagnostics)
+
+    def _with_present_place(self, diagnostic: Diagnostic, subject: str) -> Diagnostic:
+        where = diagnostic.where
+        if where is None or not subject:
+            return diagnostic
+        place = self._moved(subject).get(where)
+        return replace(diagnostic, where=place) if place else diagnostic
+
+    def _moves(self, subject: str) -> Mapping[Origin, Origin]:
+        """Return the rules that moved: their places in the policy by those that the sources state."""
+        try:
+            stated = self._session.package(name_of(subject)).grant.rules.rules
+            if self._policy is None:
+                self._policy = lazy_policy(self._session)
+            present = self._policy.rules(subject)
+        except KeymintError:  # another stage says what is wrong with the package or the policy
+            return {}
+        now = present.rules if present else ()
+        pairs = list(zip(stated, now, strict=False))
+        if len(stated) != len(now) or any(old != replace(new, origin=old.origin) for old, new in pairs):
+            return {}  # the sources have other rules than the policy
+        moved = [(old.origin, new.origin) for old, new in pairs if old.origin != new.origin]
+        return {old.alone(): new.alone() for old, new in moved} | dict(moved)  # some diagnostics leave out the includes
 
 
 def options_as_built(session: Session, name: str) -> BuildOptions:
@@ -224,52 +257,6 @@ def _smaller(size: DocumentSize) -> str:
     if size.bytes == size.plain_bytes:
         return f"{size.file} {size.bytes:,} bytes"
     return f"{size.file} {size.bytes:,} bytes, plain {size.plain_bytes:,}"
-
-
-class RulePlaces:
-    """The places of the rules of packages in the policy as it is now.
-
-    Args:
-        session: the workspace and its profile.
-        policy: its policy; loaded at the first diagnostic about a rule if it is not given.
-    """
-
-    def __init__(self, session: Session, policy: LoadedPolicy | None = None) -> None:
-        self._session = session
-        self._policy = policy
-        self._moved = functools.cache(self._moves)
-
-    def in_policy(self, diagnostics: Iterable[Diagnostic], subject: str = "") -> tuple[Diagnostic, ...]:
-        """Return diagnostics about built packages with the places that their rules have now.
-
-        Args:
-            diagnostics: the diagnostics, which cite the places that the sources of the packages state.
-            subject: whose diagnostics these are; if empty, each names its own.
-        """
-        return tuple(self._now(each, subject or each.subject) for each in diagnostics)
-
-    def _now(self, diagnostic: Diagnostic, subject: str) -> Diagnostic:
-        where = diagnostic.where
-        if where is None or not subject:
-            return diagnostic
-        place = self._moved(subject).get(where)
-        return replace(diagnostic, where=place) if place else diagnostic
-
-    def _moves(self, subject: str) -> Mapping[Origin, Origin]:
-        """Return the rules that moved: their places in the policy by those that the sources state."""
-        try:
-            stated = self._session.package(name_of(subject)).grant.rules.rules
-            if self._policy is None:
-                self._policy = lazy_policy(self._session)
-            present = self._policy.rules(subject)
-        except KeymintError:  # another stage says what is wrong with the package or the policy
-            return {}
-        now = present.rules if present else ()
-        pairs = list(zip(stated, now, strict=False))
-        if len(stated) != len(now) or any(old != replace(new, origin=old.origin) for old, new in pairs):
-            return {}  # the sources have other rules than the policy
-        moved = [(old.origin, new.origin) for old, new in pairs if old.origin != new.origin]
-        return {old.alone(): new.alone() for old, new in moved} | dict(moved)  # some diagnostics leave out the includes
 
 
 # -- on a cluster ------------------------------------------------------------------------------------------------------

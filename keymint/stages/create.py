@@ -12,7 +12,7 @@ from keymint import api
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.names import ROOT, refuse_case_collisions, refuse_reserved, subject_of
-from keymint.stages.work import PackagePlan, state_after, steps_of
+from keymint.stages.work import PackagePlan, PackageStage, state_after, steps_of
 from keymint.store.changes import Action, File, Plan, Step, folder_changes
 from keymint.view.stamps import Stamp, digest
 from keymint.workspace.policy_loading import (
@@ -83,7 +83,7 @@ def refuse_named(policy: api.LoadedPolicy, infrastructure: Mapping[str, tuple[ap
             )
 
 
-class CreateStage:
+class CreateStage(PackageStage):
     """The stage ``create``; what packages share is computed once.
 
     Args:

@@ -35,7 +35,7 @@ from keymint.stages.documents import (
 )
 from keymint.stages.environment_scripts import plan_scripts
 from keymint.stages.identities import Keyring, sign
-from keymint.stages.work import PackagePlan, state_after, steps_of
+from keymint.stages.work import PackagePlan, PackageStage, state_after, steps_of
 from keymint.store.changes import Action, File, FolderChange, Plan, Step, by_folder
 from keymint.view.stamps import Stamp, digest, digest_files
 from keymint.workspace import enclave_changes
@@ -66,7 +66,7 @@ STAGE = INSTALLED
 _STALE = "is stale; signing the existing build"
 
 
-class InstallStage:
+class InstallStage(PackageStage):
     """The stage ``install``.
 
     Args:

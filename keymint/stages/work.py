@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import field, replace
 from functools import reduce
-from typing import Any, Protocol, Self, TypeVar
+from typing import Any, Self
 
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
@@ -55,9 +55,6 @@ class InstallRequest:
         return replace(self, new_authority=(), renew=False) if resumes else self
 
 
-_T_co = TypeVar("_T_co", covariant=True)
-
-
 @dataclass(frozen=True, slots=True)
 class PackagePlan:
     """What a stage plans for one package, or the errors that prevent it.
@@ -94,13 +91,14 @@ class PackagePlan:
     withdrawn: str = ""
 
 
-class PackageStage(Protocol[_T_co]):
+class PackageStage:
     """A stage, as far as it looks at one package at a time."""
 
     NAME: str
 
-    def package(self, name: str) -> _T_co:
+    def package(self, name: str) -> Any:
         """Return the result for a package; it depends on no other package."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,9 +114,9 @@ class Crew:
             whether that will be proven; None if there is no cluster.
     """
 
-    planned: Callable[[PackageStage[Any], Sequence[str]], list[Any]]
+    planned: Callable[[PackageStage, Sequence[str]], list[Any]]
     monotonic: Callable[[], float]
-    start: Callable[[Session, Sequence[str], Sequence[Callable[[Session], PackageStage[Any]]]], None]
+    start: Callable[[Session, Sequence[str], Sequence[Callable[[Session], PackageStage]]], None]
     close: Callable[[], None]
     compile_elsewhere: Callable[[Session, Sequence[str], BuildOptions, bool], None] | None = None
 

@@ -21,6 +21,7 @@ from keymint.stages.documents import documents_digest, enclaves_of, installed_do
 from keymint.stages.proof import proof_results
 from keymint.stages.proof.proof_results import EnclaveProof, ProofEffort, ProofResults
 from keymint.stages.proof.trust_anchors import anchors_of, contradictions_for, shared_anchors, unread_of
+from keymint.stages.work import PackageStage
 from keymint.view.stamps import Stamp, digest, digest_files
 from keymint.workspace import package_build_types
 from keymint.workspace.installed_enclaves import enclave_digests, enclave_files, not_installed
@@ -76,7 +77,7 @@ def proofs(
     return stage.results(proven)
 
 
-class ProofStage:
+class ProofStage(PackageStage):
     """The stage ``prove``: proves enclaves one by one, and then the claims across them.
 
     Args:
