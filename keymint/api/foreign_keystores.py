@@ -12,7 +12,7 @@ from typing import Any
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
 from keymint.api.packages import DomainRange, KeySpec, Package, Validity
-from keymint.api.policy_types import ImportedSubject
+from keymint.api.policies import ImportedSubject
 from keymint.api.rights import Comparison, ComparisonTask, DocumentComparison
 from keymint.ir import SubjectRules
 

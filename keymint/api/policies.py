@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # ruff: noqa: ARG002 - defaults ignore their arguments
-"""Loaded policies: their rules, decisions and structure."""
+"""Policies: what loaded ones decide, and their types, which load, format, import, export and learn them."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from dataclasses import field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from comarmor.errors import Origin, Reason
+from comarmor.errors import Diagnostic, Origin, Reason
+from comarmor.rules import Expectation
 from comarmor.values import dataclass
-from keymint.api.graph import Edge, Object
+from keymint.api.graph import Edge, Graph, Object
 from keymint.ir import Rule, SubjectRules
 
 if TYPE_CHECKING:
-    from comarmor.xml.package_folders import ShippedFile
+    from comarmor.xml.package_folders import PackageFolders, ShippedFile
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,3 +173,244 @@ class LoadedPolicy(ABC):
     def structure(self) -> PolicyStructure | None:
         """Return the structure of the policy, for analyses of subjects that it does not name; None if it has none."""
         return None
+
+
+# -- types of policies ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class ImportedSubject:
+    """A subject of an imported policy.
+
+    Attributes:
+        rules: its rules, as the new policy gives them.
+        document: what the other tool writes for it, unsigned.
+        subject_name: its distinguished name in that document.
+        deviates: the other tool enforces something else than its policy reads, as the diagnostics say.
+    """
+
+    rules: SubjectRules
+    document: bytes = field(repr=False)
+    subject_name: str
+    deviates: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class ImportedPolicy:
+    """A policy in the language of Keymint.
+
+    Attributes:
+        document: the new policy.
+        subjects: its subjects, in the order of the policy.
+        diagnostics: what changes, and what is lost, as warnings and notes with ``file:line``.
+    """
+
+    document: bytes = field(repr=False)
+    subjects: tuple[ImportedSubject, ...]
+    diagnostics: tuple[Diagnostic, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ImportRequest:
+    """A policy to import.
+
+    Attributes:
+        path: the file.
+        name: path of the new policy, as the user would type it, for the places of its rules.
+        library: folder of the policy library that the new policy may include.
+        accept: take the policy as it reads where the other tool enforces something else.
+        implicit: with the rules that the other tool adds by itself.
+        library_shown: path of the library in the places of rules, if it will be copied there.
+    """
+
+    path: Path
+    name: str
+    library: Path
+    accept: bool = False
+    implicit: bool = True
+    library_shown: Path | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ExportedPolicy:
+    """A policy in the language of another tool.
+
+    Attributes:
+        document: the policy.
+        diagnostics: what is left out, and what the other tool adds, as warnings with ``file:line``.
+        subjects: for each subject the rules that the document expresses, and what the other tool writes for it; none
+            if no build type reads that.
+    """
+
+    document: bytes = field(repr=False)
+    diagnostics: tuple[Diagnostic, ...] = ()
+    subjects: tuple[ImportedSubject, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class LearnedPolicy:
+    """A policy learned from a graph.
+
+    Attributes:
+        document: the policy; empty if no rule is missing.
+        fragments: files that it includes, by name in the requested folder.
+        missing: edges of the graph that the document allows and the existing policy does not.
+        conflicts: edges that a DENY rule of the existing policy denies, so that no new rule can allow them.
+        unused: rules of the existing policy that no edge of the graph uses.
+        notes: where an expression of the document stands for more than a name of the graph.
+    """
+
+    document: bytes
+    fragments: Mapping[str, bytes]
+    missing: tuple[Edge, ...]
+    conflicts: tuple[Diagnostic, ...] = ()
+    unused: tuple[Diagnostic, ...] = ()
+    notes: tuple[Diagnostic, ...] = ()
+
+
+class PolicyType(ABC):
+    """Loads policies of one format. What has a default is optional."""
+
+    API: str
+    NOUN: str = ""
+    """What its files are called, with its article, where verbs meet them among policies of another type."""
+    TOOL: str = ""
+    """The tool that the policies are written for; empty if they need no import, and :meth:`translated` is not asked."""
+    BUILD_TYPE: str = ""
+    """The build type that reads what this tool writes."""
+    FORMAT: str = ""
+    """The name of the format that :meth:`exported` writes; empty if it writes none."""
+
+    @abstractmethod
+    def load(
+        self,
+        sources: Sequence[PolicySource],
+        library: Path | None,
+        library_shown: Path | None = None,
+        packages: PackageFolders | None = None,
+    ) -> LoadedPolicy:
+        """Load several policies as one: the union of their profiles.
+
+        Args:
+            sources: the policies.
+            library: a folder that is searched for included files which a policy does not have.
+            library_shown: path of the library in origins and in :attr:`LoadedPolicy.seen`, if it will be copied there.
+            packages: finds the files that ROS packages ship (docs/packages.md), if policies can include them; without
+                it none is found.
+
+        Raises:
+            KeymintError: with ``file:line`` of each defect.
+        """
+
+    @abstractmethod
+    def fingerprint(self, path: Path) -> bytes:
+        """Return a digest of a path that changes when a policy loaded from it may change."""
+
+    def recognises(self, path: Path) -> bool:
+        """Tell whether a file is a policy of this type, valid or not; False if it cannot be read."""
+        return False
+
+    def expectations(self, path: Path) -> Mapping[Path, Sequence[Expectation]] | None:
+        """Return the expectations in the test files of a policy, by file; None if it has no tests.
+
+        Raises:
+            KeymintError: with ``file:line`` of each defect.
+        """
+        return None
+
+    def written_files(self, folder: Path) -> Sequence[Path]:
+        """Return, sorted, the files in a folder and below it that may be of this policy type; links are left out.
+
+        Raises:
+            KeymintError: a folder cannot be read.
+        """
+        return ()
+
+    def formatted(self, content: bytes, name: str) -> bytes | None:
+        """Return a file in canonical form, which means the same; None if it is of another type.
+
+        Args:
+            content: the file.
+            name: its path as the user would type it, for messages.
+
+        Raises:
+            KeymintError: with ``file:line`` of each defect.
+        """
+        return None
+
+    def translated(self, request: ImportRequest) -> ImportedPolicy:
+        """Translate a policy to the language of Keymint.
+
+        Raises:
+            KeymintError: the policy is not valid, cannot be expressed, or is not enforced as it reads and that is not
+                accepted; every defect with its ``file:line``.
+        """
+        raise NotImplementedError
+
+    def exported(self, subjects: Sequence[SubjectRules], *, lossy: bool = False) -> ExportedPolicy:
+        """Write rules in this format.
+
+        Args:
+            subjects: the rules of each subject.
+            lossy: leave out what the format cannot express, where it only allows something.
+
+        Raises:
+            KeymintError: a rule cannot be expressed; each with its ``file:line``.
+        """
+        raise NotImplementedError
+
+    def policy_of(
+        self, subjects: Sequence[SubjectRules], name: str, note: str = ""
+    ) -> tuple[bytes, tuple[SubjectRules, ...]] | None:
+        """Write a policy in which each subject has its rules, and read it again.
+
+        Args:
+            subjects: rules of kinds and permissions that policies have; of several of one kind, the fewest are written.
+            name: path of the new policy, as the user would type it, for the places of its rules.
+            note: a comment for its head; empty for none.
+
+        Returns:
+            The document, and the rules of each subject as it gives them. None if this type writes no rules.
+
+        Raises:
+            KeymintError: the format cannot express a rule.
+        """
+        return None
+
+    def learn(self, graph: Graph, existing: LoadedPolicy | None, fragments: str) -> LearnedPolicy | None:
+        """Return the smallest policy that, with the existing one, allows every edge of a graph; None if it cannot.
+
+        Args:
+            graph: the observed edges.
+            existing: a policy of the same type that remains in force.
+            fragments: folder, relative to the policy, for included files; empty for a single document.
+
+        Raises:
+            KeymintError: the policy format cannot express an edge.
+        """
+        return None
+
+
+class PolicyFormat(ABC):
+    """Writes rules in a format of policies, under whose name it is registered.
+
+    What a policy type writes (:meth:`PolicyType.exported`) is also proven to mean the same.
+    """
+
+    API: str
+    """Version of the plugin interface, :data:`keymint.api.API_VERSION`."""
+    TOOL: str = ""
+    BUILD_TYPE: str = ""
+    """The build type that reads what this tool writes from the policy, for a proof; empty if there is none."""
+
+    @abstractmethod
+    def exported(self, subjects: Sequence[SubjectRules], *, lossy: bool = False) -> ExportedPolicy:
+        """Write rules in this format.
+
+        Args:
+            subjects: the rules of each subject.
+            lossy: leave out what the format cannot express, where it only allows something.
+
+        Raises:
+            KeymintError: a rule cannot be expressed; each with its ``file:line``.
+        """

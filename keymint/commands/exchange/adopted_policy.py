@@ -6,8 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from keymint.adoption.keystore_learning import Learning, learned_from
-from keymint.adoption.keystore_policy import AdoptedPolicy
+from keymint.adoption.keystore_policy import AdoptedPolicy, Learning, learned_from
 from keymint.api import FoundKeystore, ImportRequest, KeystoreFiles, KeystoreReader
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions

@@ -35,7 +35,7 @@ def from_keystore(
             its place.
     """
     from keymint.adoption.keystore_files import found_in  # noqa: PLC0415
-    from keymint.adoption.keystore_learning import Learning, learned_from  # noqa: PLC0415 - graphs need none of it
+    from keymint.adoption.keystore_policy import Learning, learned_from  # noqa: PLC0415 - graphs need none of it
 
     policies = Policies(run, policy_options)
     policies.shipped()  # an unknown distribution is wrong usage, whatever the keystore is

@@ -14,7 +14,7 @@ from keymint_ros2_sros2 import policy_type as sros2
 
 from comarmor.errors import Diagnostic, Severity
 from keymint.adoption.keystore_files import found_in
-from keymint.adoption.keystore_learning import Learning, learned_from
+from keymint.adoption.keystore_policy import Learning, learned_from
 from keymint.api import DocumentComparison, FoundKeystore, KeystoreFiles, Relation
 from keymint.api.plugin_loader import Plugins
 from keymint.errors import KeymintError
