@@ -303,7 +303,11 @@ def loaded_register(content: bytes, where: Origin) -> Register:
             if database.execute("PRAGMA quick_check").fetchone() != ("ok",):
                 raise register_error(where)
             issued = _entries(database, "certificates")
-            _require_possible(issued)
+            if any(
+                each.generation < 0 or (each.revoked is None) != (not each.reason) or each.reason not in ("", *REASONS)
+                for each in issued
+            ):
+                raise register_error(where)
             numbers, bundles = (dict(map(_numbered, database.execute(f"SELECT * FROM {name}"))) for name in _NUMBERED)  # noqa: S608 - constants
             signed, is_whole = (), False
             if version == _VERSION:
@@ -333,12 +337,6 @@ def _value(field: Field[Any], stored: Any) -> Any:
     if field.name == _SERIAL:
         return int(stored, 16)
     return stored if stored is None or "datetime" not in str(field.type) else _moment(stored)
-
-
-def _require_possible(issued: Iterable[IssuedCertificate]) -> None:
-    for each in issued:
-        if each.generation < 0 or (each.revoked is None) != (not each.reason) or each.reason not in ("", *REASONS):
-            raise ValueError
 
 
 def register_file(register: Register) -> bytes:

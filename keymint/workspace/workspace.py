@@ -24,6 +24,9 @@ PACKAGE_MARKER = "keymint_package.xml"
 IGNORE_MARKER = RESERVED
 DEFAULTS = "package.defaults"
 """Folder of a package that has defaults of its own."""
+GITIGNORE = ".gitignore"
+"""The file at the top of spaces that git keeps out of."""
+_IGNORES_ALL = b"# Secrets, or files that Keymint can make again: none of them belongs into git.\n*\n"
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,11 +253,6 @@ def profile_files(tree: Tree, profile: Path) -> dict[str, bytes]:
     }
 
 
-GITIGNORE = ".gitignore"
-"""The file at the top of spaces that git keeps out of."""
-_IGNORES_ALL = b"# Secrets, or files that Keymint can make again: none of them belongs into git.\n*\n"
-
-
 def missing_gitignores(workspace: Workspace, plan: Plan) -> Sequence[FolderChange]:
     """Return the missing ``.gitignore`` files of the spaces that a plan writes to, or that exist.
 
@@ -268,14 +266,11 @@ def missing_gitignores(workspace: Workspace, plan: Plan) -> Sequence[FolderChang
     if written:
         written.add(str(workspace.state))  # has the record of what is written
     spaces = (workspace.private, workspace.build, workspace.install, workspace.next_install, workspace.state)
-    kept = [space for space in spaces if space != workspace.next_install and _can_be_written(space)]
+    present = (space for space in spaces if space != workspace.next_install and space.is_dir())
+    kept = [space for space in present if not space.is_symlink() and os.access(space, os.W_OK)]
     return [
         FolderChange(space, {GITIGNORE: File(_IGNORES_ALL)}, private=space == workspace.private)
         for space in spaces
         if not os.path.lexists(space / GITIGNORE)
         and (space in kept or any(f"{folder}/".startswith(f"{space}/") for folder in written))
     ]
-
-
-def _can_be_written(space: Path) -> bool:
-    return space.is_dir() and not space.is_symlink() and os.access(space, os.W_OK)
