@@ -243,19 +243,12 @@ _ROUNDS = 16
 """Maximum number of examples for a rule and a pattern of its subjects."""
 
 
-@dataclass(frozen=True, slots=True)
-class PatternDifference:
-    """A difference for subjects that no policy names.
+PatternDifference = tuple[SymbolicRule, Glob, str | Unknown]
+"""A difference for subjects that no policy names.
 
-    Attributes:
-        rule: the rule that allows it.
-        within: pattern of the subjects that were searched.
-        found: an example, or why it is not known whether there is one.
-    """
-
-    rule: SymbolicRule
-    within: Glob
-    found: str | Unknown
+It is the rule that allows it, the pattern of the subjects that were searched, and an example, or why it is not known
+whether there is one.
+"""
 
 
 class PatternComparison:
@@ -311,7 +304,7 @@ class PatternComparison:
                         break
                     if not left:
                         answer = Unknown(f"its subjects change in more than {_ROUNDS} ways")
-                    yield PatternDifference(rule, subjects, answer)
+                    yield rule, subjects, answer
                     if isinstance(answer, Unknown):
                         break
 

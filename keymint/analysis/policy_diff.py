@@ -14,7 +14,6 @@ from comarmor.values import dataclass
 from keymint.analysis.permission_changes import (
     KEYS,
     PatternComparison,
-    PatternDifference,
     PermissionChange,
     rule_changes,
     unknown_change,
@@ -110,35 +109,27 @@ def _classes(
     finder = ClassFinder(policies, books, comparisons, own, budget)
     listed: list[SubjectClass] = []
     for comparison, key in product(comparisons, KEYS):
-        for each in comparison.differences(key, SubjectClass(EVERY), (), listed):
-            if isinstance(each.found, Unknown):
+        for rule, within, found in comparison.differences(key, SubjectClass(EVERY), (), listed):
+            if isinstance(found, Unknown):
                 if budget.is_empty:
-                    yield _unknown(SubjectClass(EVERY), unknown_change(budget.reason(each.found.reason)))
+                    yield _unknown(SubjectClass(EVERY), unknown_change(budget.reason(found.reason)))
                     return
-                change = PermissionChange(
-                    comparison.gains, *key, each.rule.object, False, "", each.rule.where, each.found.reason
-                )
-                yield _unknown(SubjectClass(each.within), change)
+                change = PermissionChange(comparison.gains, *key, rule.object, False, "", rule.where, found.reason)
+                yield _unknown(SubjectClass(within), change)
                 continue
-            alone = _of_subject(*policies, each.found, budget)
+            alone = _of_subject(*policies, found, budget)
             if alone is None:
-                raise AssertionError(f"the rules of {each.found} do not differ as reported")
-            area, found = _class_of(finder, alone, each, own)
+                raise AssertionError(f"the rules of {found} do not differ as reported")
+            area, changes, reason = finder.class_of(found, rule, within, alone.changes)
+            if reason:
+                listed.append(area)
+                yield from (alone, _unknown(area, unknown_change(f"not listed: {reason}")))
+                continue
+            alike = replace(alone, changes=changes)
+            others = [(name,) for name, each in own.items() if name in area and not _is_alike(alike, each, name)]
+            area = replace(area, excluded=(*area.excluded, *others))
             listed.append(area)
-            yield from found
-
-
-def _class_of(
-    finder: ClassFinder, alone: SubjectChanges, found: PatternDifference, own: Mapping[str, SubjectChanges | None]
-) -> tuple[SubjectClass, list[SubjectChanges]]:
-    """Return a class of subjects that change as one of them does, or that are not listed besides that one."""
-    area, changes, reason = finder.class_of(alone.subject, found, alone.changes)
-    if reason:
-        return area, [alone, _unknown(area, unknown_change(f"not listed: {reason}"))]
-    alike = replace(alone, changes=changes)
-    others = ((name,) for name, each in own.items() if name in area and not _is_alike(alike, each, name))
-    area = replace(area, excluded=(*area.excluded, *others))
-    return area, [alone if literal(area.like) else replace(alike, area=area)]
+            yield alone if literal(area.like) else replace(alike, area=area)
 
 
 def _is_alike(found: SubjectChanges, each: SubjectChanges | None, name: str) -> bool:

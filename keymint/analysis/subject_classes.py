@@ -18,7 +18,7 @@ from comarmor.patterns.relations import TooComplexError, covers, disjoint, inter
 from comarmor.patterns.tokens import STAR
 from comarmor.rules import PARTS, Effect, parts
 from comarmor.values import dataclass
-from keymint.analysis.permission_changes import KEYS, PatternComparison, PatternDifference, PermissionChange
+from keymint.analysis.permission_changes import KEYS, PatternComparison, PermissionChange
 from keymint.analysis.rule_lists import (
     PermissionKey,
     allow_only,
@@ -69,21 +69,22 @@ class ClassFinder:
     budget: QueryBudget
 
     def class_of(
-        self, subject: str, found: PatternDifference, changes: Sequence[PermissionChange]
+        self, subject: str, rule: SymbolicRule, within: Glob, changes: Sequence[PermissionChange]
     ) -> tuple[SubjectClass, tuple[PermissionChange, ...], str]:
         """Return a class in which all members change as a subject does, and these changes with placeholders.
 
         Args:
             subject: the subject.
-            found: the difference that it is an example of.
+            rule: the rule that allows the difference that it is an example of.
+            within: pattern of the subjects that change.
             changes: what it gains and loses.
 
         Returns:
             The class, the changes, and an empty text; or why none was found within the limits, and where.
         """
-        area, reason = SubjectClass(found.within), "profiles overlap in too many ways"
+        area, reason = SubjectClass(within), "profiles overlap in too many ways"
         undecided = next((change.unknown for change in changes if change.unknown), "")
-        if undecided or found.rule.reach.left:
+        if undecided or rule.reach.left:
             return area, (), undecided or reason
         symbolic = tuple(self._with_placeholders(subject, change) for change in changes)
         try:
@@ -122,15 +123,15 @@ class ClassFinder:
         """Return the part without a member that changes in a way in which the subject does not."""
         for comparison, key in product(self.comparisons, KEYS):
             said = [objects for one, objects in _covered(changes, comparison.gains) if one == key]
-            for each in comparison.differences(key, area, said, ()):
-                if isinstance(each.found, Unknown):
-                    raise _NotAlikeError(each.found.reason)
-                near = [rule for rule in self._rules(key, area) if rule.may_meet(each.rule.object, area)]
+            for allowing, _, found in comparison.differences(key, area, said, ()):
+                if isinstance(found, Unknown):
+                    raise _NotAlikeError(found.reason)
+                near = [rule for rule in self._rules(key, area) if rule.may_meet(allowing.object, area)]
                 for rule in near:
                     if (narrower := _cut(area, subject, rule.profiles)) is not None:
                         return narrower
                 objects = [rule.object for rule in near]
-                return _without_coincidence(area, subject, each.found, objects, each.rule.object)
+                return _without_coincidence(area, subject, found, objects, allowing.object)
         return None
 
     def _by_claim(self, area: SubjectClass, subject: str, changes: Sequence[PermissionChange]) -> SubjectClass | None:

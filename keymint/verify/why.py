@@ -40,14 +40,6 @@ from keymint.workspace.workspace import packages
 
 
 @dataclass(frozen=True, slots=True)
-class Need:
-    """An endpoint that a transport must permit for a request, and the word for its name."""
-
-    endpoint: Endpoint
-    noun: str
-
-
-@dataclass(frozen=True, slots=True)
 class Explanation:
     """The decision of every layer on a request.
 
@@ -60,7 +52,7 @@ class Explanation:
         similar: if the policy does not name the subject, a subject with a similar name.
         package: the rules of the source package that apply to the request.
         packaged: there is a source package.
-        needs: what the transports must permit.
+        needs: the endpoints that the transports must permit, each with the word for its name.
         decisions: the decision of the policy as each build type applies it, by its name; those that have no name for
             the object are missing.
         installed: there is an enclave.
@@ -77,7 +69,7 @@ class Explanation:
     similar: str
     package: Sequence[MatchedRule]
     packaged: bool
-    needs: Sequence[Need]
+    needs: Sequence[tuple[Endpoint, str]]
     installed: bool
     labels: Mapping[str, Mismatch]
     unasked: Mapping[str, Sequence[str]]
@@ -199,10 +191,10 @@ class _View:
         """Return the ROS edges that a request on an endpoint stands for."""
         return self.naming.meanings(edge) if self.naming and edge.object.kind == RAW else ()
 
-    def needs(self, edge: Edge) -> Sequence[Need]:
+    def needs(self, edge: Edge) -> Sequence[tuple[Endpoint, str]]:
         """Return what the transports must permit."""
         actions = self.build_type.actions(self.distro, edge) if self.distro else ()
-        return [Need(each, self.build_type.NOUN) for each in actions]
+        return [(each, self.build_type.NOUN) for each in actions]
 
 
 def _views(session: Session, policy: LoadedPolicy, package: Package | None, edge: Edge) -> Mapping[str, _View]:

@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from comarmor.errors import Diagnostic, Origin
-from keymint.api import DomainRange, Tier, Verdict
+from keymint.api import DomainRange, Endpoint, Tier, Verdict
 from keymint.api.graph import LABELLED
 from keymint.command_line.options import kind_option, transport_option
 from keymint.command_line.verb import verb
@@ -29,7 +29,7 @@ from keymint.output.report import Report, findings_if, members
 from keymint.run.run import Run
 from keymint.stages.proof.trust_anchors import differences
 from keymint.verify.transports import choose, models
-from keymint.verify.why import Explanation, MatchedRule, Need, explain, request, source_package
+from keymint.verify.why import Explanation, MatchedRule, explain, request, source_package
 from keymint.workspace.policy_loading import load_policy
 
 _PERMISSIONS = [permission for permissions in LABELLED.values() for permission in permissions]
@@ -123,7 +123,7 @@ def _lines(explanation: Explanation, place: Place) -> Iterator[str]:
     layers["package"] = [rule(each) for each in explanation.package] or ["no rule applies"]
     if not explanation.packaged:
         layers["package"] = ["missing ('keymint create' creates it)"]
-    layers["needs"] = [_need(each) for each in explanation.needs]
+    layers["needs"] = [_need(*each) for each in explanation.needs]
     layers["enclave"] = list(_labels(explanation, place))
     in_domain = f" in domain {explanation.edge.domain}" if explanation.edge.domain else ""
     yield f"{request_text(explanation.edge)}{in_domain}: the policy {verb_of(explanation.policy.allowed)} it"
@@ -132,10 +132,9 @@ def _lines(explanation: Explanation, place: Place) -> Iterator[str]:
             yield f"{title if index == 0 else '':<10}{line}"
 
 
-def _need(need: Need) -> str:
-    endpoint = need.endpoint
+def _need(endpoint: Endpoint, noun: str) -> str:
     partitions = "".join(f" in partition {name!r}" for name in endpoint.partitions)
-    return f"{endpoint.action} on the {need.noun} {endpoint.name!r}{partitions}"
+    return f"{endpoint.action} on the {noun} {endpoint.name!r}{partitions}"
 
 
 def _labels(explanation: Explanation, place: Place) -> Iterator[str]:
@@ -181,7 +180,7 @@ def _document(explanation: Explanation, typed: Callable[[str], str]) -> dict[str
         "nearest": rule(explanation.near) if explanation.near else None,
         "similar_subject": explanation.similar or None,
         "package": [rule(each) for each in explanation.package] if explanation.packaged else None,
-        "endpoints": [members(each.endpoint, "action", "name", "partitions") for each in explanation.needs],
+        "endpoints": [members(each, "action", "name", "partitions") for each, _ in explanation.needs],
         "installed": explanation.installed,
         "transports": [
             {"name": name, **verdict_json(label.verdict, label.reason, label.document, label.model, typed)}
