@@ -97,6 +97,19 @@ def words(glob: Glob, most: int) -> tuple[str, ...]:
     return tuple(map("".join, product(*choices)))
 
 
+def filled(glob: Glob, star: str, choose: Callable[[Charset], str]) -> str:
+    """Return a text like a pattern.
+
+    Args:
+        glob: the pattern.
+        star: text in place of each ``*``.
+        choose: returns a character, or no text, in place of a set.
+    """
+    return "".join(
+        token if isinstance(token, str) else star if isinstance(token, Star) else choose(token) for token in glob
+    )
+
+
 def surround(head: str, glob: Glob, tail: str) -> Glob:
     """Return the pattern of the names ``head + name + tail``."""
     text = literal(glob)

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from operator import itemgetter
 
 from comarmor.patterns.decision_lists import Witness
-from comarmor.patterns.glob import Glob, literal, matches, normalise, parse, units
+from comarmor.patterns.glob import Glob, filled, literal, matches, normalise, parse, units
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.possible_names import matches_ros_name
 from comarmor.patterns.relations import TooComplexError, covers, intersection
@@ -114,8 +114,8 @@ def example_subject(pattern: Glob) -> str | None:
     if name is not None:
         return name if is_subject(name) else None
     # Mostly the same text for all wildcards does.
-    filled = (_filled(pattern, each) for each in _FILLINGS)
-    legal = next((name for name in filled if is_fully_qualified(name) and matches(pattern, name)), None)
+    names = (_filled(pattern, each) for each in _FILLINGS)
+    legal = next((name for name in names if is_fully_qualified(name) and matches(pattern, name)), None)
     if legal is not None:
         return legal
     outcome = find_permitted(_NODE, allow_only(pattern))
@@ -162,14 +162,7 @@ def _deeper(pattern: Glob, shallow: str) -> str | None:
 
 def _filled(pattern: Glob, filling: str) -> str:
     """Return a pattern with each star replaced by a text, and each set of characters by one of them."""
-    return "".join(
-        token
-        if isinstance(token, str)
-        else filling
-        if isinstance(token, Star)
-        else next((char for char in _PREFERRED if char in token), "")
-        for token in pattern
-    )
+    return filled(pattern, filling, lambda members: next((char for char in _PREFERRED if char in members), ""))
 
 
 def _with_overlaps(wild: Sequence[Glob], given_up: list[str]) -> list[Glob]:

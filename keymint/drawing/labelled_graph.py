@@ -16,7 +16,6 @@ from typing import NoReturn
 
 from comarmor.errors import Origin
 from comarmor.patterns import glob
-from comarmor.patterns.tokens import Star
 from comarmor.rules import PERMISSIONS
 from comarmor.text import did_you_mean, first_few
 from comarmor.values import dataclass
@@ -346,12 +345,5 @@ def _witness(expression: Object) -> Object:
 
 def _member(expression: str) -> str:
     """Return a text that an expression matches; for a literal itself, without ``\\`` escapes."""
-    parts = []
-    for token in glob.parse(expression):
-        if isinstance(token, str):
-            parts.append(token)
-        elif isinstance(token, Star):
-            parts.append("any__name")
-        else:
-            parts.append("x" if "x" in token else next(token.chars()))
-    return "".join(parts)
+    pattern = glob.parse(expression)
+    return glob.filled(pattern, "any__name", lambda members: "x" if "x" in members else next(members.chars()))

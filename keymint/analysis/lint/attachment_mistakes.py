@@ -24,13 +24,6 @@ from keymint.api import PolicyStructure, WrittenProfile, WrittenRule
 STEPS = 2_000_000
 """Maximum steps of the search for subjects that a wildcard matches."""
 
-CODES: Mapping[str, str] = {
-    "profile-name-twice": "Two profiles side by side have the same name.",
-    "profile-copied": "Two profiles side by side are attached to the same subjects.",
-    "profile-wide": "A wildcard gives rights to a subject that has a profile of its own.",
-}
-"""Diagnostic codes of this module with their descriptions."""
-
 _Texts = tuple[str, ...]
 _Chain = tuple[_Texts, ...]
 

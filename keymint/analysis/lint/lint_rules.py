@@ -18,7 +18,6 @@ from comarmor.patterns.possible_names import advice
 from comarmor.patterns.relations import TooComplexError
 from comarmor.patterns.steps import step_limit
 from comarmor.text import did_you_mean
-from keymint.analysis.lint.attachment_mistakes import CODES as SLIPS
 from keymint.analysis.lint.attachment_mistakes import attachment_mistakes
 from keymint.analysis.lint.findings import ExpressionOrigins, quoted_list, undecided_note
 from keymint.analysis.lint.name_similarity import similar_names, similar_subjects
@@ -44,7 +43,9 @@ CODES: Mapping[str, str] = {
     "profile-never": "A profile never applies together with the profiles around it.",
     "tunable-unused": "A tunable is declared but never used.",
     "name-similar": "A name is similar to one that would fit: a likely typo.",
-    **SLIPS,
+    "profile-name-twice": "Two profiles side by side have the same name.",
+    "profile-copied": "Two profiles side by side are attached to the same subjects.",
+    "profile-wide": "A wildcard gives rights to a subject that has a profile of its own.",
     "root-name": "A rule of the root enclave depends on the name of the subject.",
     "lint-unknown": "A check was not completed within its limit of steps.",
 }

@@ -12,7 +12,6 @@ from comarmor.patterns.glob import parse
 from comarmor.patterns.possible_names import advice, matches_ros_name
 from keymint.analysis.lint.attachment_mistakes import attachment_mistakes
 from keymint.analysis.rule_lists import allow_only, find_permitted
-from keymint.analysis.subject_patterns import structure
 from tests.generated import tokens
 from tests.keymint.analysis.policies import deny, loaded_text, rule
 
@@ -30,7 +29,7 @@ def found(folder: Path, *profiles: str, **files: str) -> list[tuple[str, int]]:
     for name, text in files.items():
         (folder / f"{name}.xml").write_text(text)
     xi = 'xmlns:xi="http://www.w3.org/2001/XInclude"'
-    written = structure(loaded_text(folder, f"<profiles {xi}>\n" + "".join(profiles) + "</profiles>"))
+    written = loaded_text(folder, f"<profiles {xi}>\n" + "".join(profiles) + "</profiles>").structure()
     assert written is not None
     said = list(attachment_mistakes(written))
     assert all(each.help and each.where for each in said)
