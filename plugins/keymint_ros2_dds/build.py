@@ -37,7 +37,7 @@ def build(package: Package, options: BuildOptions) -> BuildResult:
         notes += emitted.diagnostics
     with defects:
         governance, remarks = governance_document.build(
-            settings_of(package).governance, package.subject, package.distro, allow_vendor_specific=lenient
+            settings_of(package), package.subject, package.distro, allow_vendor_specific=lenient
         )
         governance = foreign_documents.kept_governance(package, governance)
         notes += (*remarks, *governance_warnings.findings(package, emitted.lowered if emitted else None))
@@ -55,7 +55,7 @@ def build(package: Package, options: BuildOptions) -> BuildResult:
 def _check(package: Package) -> Iterator[Diagnostic]:
     """Yield the contradictions in a package."""
     granted = package.grant
-    governance = settings_of(package).governance
+    governance = settings_of(package)
     validity = validity_of(granted)
     identity = package.identity
     if granted.subject_name != identity.subject_name and _canonical(granted.subject_name, granted.origin) != _canonical(

@@ -42,7 +42,7 @@ def findings(package: Package, lowered: Lowered | None = None) -> tuple[Diagnost
     Raises:
         KeymintError: a rule of the policy, or an expression of the governance, is invalid.
     """
-    governance = settings_of(package).governance
+    governance = settings_of(package)
     if all(map(_is_closed, governance.domain_rules)):
         return ()
     accepted = governance.accepts_open

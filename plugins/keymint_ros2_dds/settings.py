@@ -92,30 +92,19 @@ STRICT_DOMAIN, STRICT_TOPIC = _strict(DomainRule), _strict(TopicProtection)
 
 
 @dataclass(frozen=True, slots=True)
-class Governance:
-    """The protection of domains and topics.
+class DdsSettings:
+    """The payload of this build type in a package: the protection of domains and topics.
 
     Attributes:
-        issuer: name of the authority that signs the document.
+        issuer: name of the authority that signs the governance.
         domain_rules: in order; the first that applies to a domain counts.
         accepts_open: the profile accepts rules that disable access control of topics or of joining a domain.
+        accepts_token_keys: the profile accepts identities whose keys only one vendor reads.
     """
 
     issuer: str
     domain_rules: tuple[DomainRule, ...]
     accepts_open: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class DdsSettings:
-    """The payload of this build type in a package.
-
-    Attributes:
-        governance: the protection of domains and topics.
-        accepts_token_keys: the profile accepts identities whose keys only one vendor reads.
-    """
-
-    governance: Governance
     accepts_token_keys: bool = False
 
 
@@ -158,7 +147,7 @@ def package_of(rules: SubjectRules, distro: str) -> Package:
         identity=CertificateSpec(_NAME, _VALIDITY, None, "identity", "SHA256", KeySpec("ec", "SECP256R1"), (), origin),
         grant=Grant("permissions", subject, _NAME, _VALIDITY, _EVERYWHERE, rules, origin),
         build_types=(BUILD_TYPE,),
-        settings={BUILD_TYPE: DdsSettings(Governance("permissions", (_PROTECTION,)))},
+        settings={BUILD_TYPE: DdsSettings("permissions", (_PROTECTION,))},
     )
 
 
@@ -189,10 +178,10 @@ def settings(sources: PackageSources) -> PackageSettings:
             help="use the same authority for both: a DDS participant verifies both with one certificate",
             code="signers-differ",
         )
-    return PackageSettings(DdsSettings(governance, KEY_URIS in sources.accepts))
+    return PackageSettings(governance)
 
 
-def _governance(sources: PackageSources, part: SourcePart) -> Governance:
+def _governance(sources: PackageSources, part: SourcePart) -> DdsSettings:
     own = () if part.content is None else _read(part.content, part.file).iterfind("domain_access_rules/domain_rule")
     if part.defaults is None:
         raise KeymintError(
@@ -205,7 +194,7 @@ def _governance(sources: PackageSources, part: SourcePart) -> Governance:
     usual = defaults_issuer or (sources.grant.issuer if sources.grant else "")
     issuer = signer(part.issuer, part.where, usual, base.origin, sources.authorities)
     rules = tuple(_domain_rule(element, part.file, base, general) for element in own) or (base,)
-    return Governance(issuer, rules, accepts_open=OPEN_GOVERNANCE in sources.accepts)
+    return DdsSettings(issuer, rules, OPEN_GOVERNANCE in sources.accepts, KEY_URIS in sources.accepts)
 
 
 def _grant_defects(grant: Grant) -> Iterator[Diagnostic]:

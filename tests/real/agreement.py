@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from keymint_ros2_comarmor import policy_type
 from keymint_ros2_dds import build_type
-from keymint_ros2_dds.settings import BUILD_TYPE, DdsSettings, DomainRule, Governance, TopicProtection
+from keymint_ros2_dds.settings import BUILD_TYPE, DdsSettings, DomainRule, TopicProtection
 from keymint_ros2_dds.vendors.cyclone_access_control import CycloneAccessControl
 from keymint_ros2_dds.vendors.participants import RefusedError, System
 
@@ -117,10 +117,8 @@ def compiled(policy: Path, subject: str) -> tuple[str, str]:
     permissions = Grant("permissions", subject, name, validity, domains, rules, _HERE)
     everything = TopicProtection("topic", "*", _HERE)
     domain_rule = DomainRule(domains, (everything,), _HERE)
-    governance = Governance("permissions", (domain_rule,))
-    package = Package(
-        subject[1:], subject, "humble", identity, permissions, (BUILD_TYPE,), {BUILD_TYPE: DdsSettings(governance)}
-    )
+    governance = DdsSettings("permissions", (domain_rule,))
+    package = Package(subject[1:], subject, "humble", identity, permissions, (BUILD_TYPE,), {BUILD_TYPE: governance})
     documents = build_type.build(package, BuildOptions()).documents
     return documents["permissions.xml"].decode(), documents["governance.xml"].decode()
 

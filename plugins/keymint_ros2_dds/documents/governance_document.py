@@ -21,7 +21,7 @@ from keymint_ros2_dds.domains import check_domains
 from keymint_ros2_dds.enclave_layout import GOVERNANCE
 from keymint_ros2_dds.lowering.name_mapping import ARDENT, dds_patterns, needed_topics, parse_expression
 from keymint_ros2_dds.lowering.portable_expressions import NotPortableError, portable_expressions
-from keymint_ros2_dds.settings import STRICT_DOMAIN, STRICT_TOPIC, DomainRule, Governance, TopicProtection
+from keymint_ros2_dds.settings import STRICT_DOMAIN, STRICT_TOPIC, DdsSettings, DomainRule, TopicProtection
 
 _ODD = lazy_regex(r"[^A-Za-z0-9_/*?\[\]!^\\-]|//|(?<=.)/$")
 """Characters and slashes that no ROS name has; expression syntax aside (ROS 2 design, "Topic and Service Names")."""
@@ -36,7 +36,7 @@ _PERMISSIONS = {
 
 
 def build(
-    governance: Governance, subject: str, distro: str, *, allow_vendor_specific: bool
+    governance: DdsSettings, subject: str, distro: str, *, allow_vendor_specific: bool
 ) -> tuple[bytes, tuple[Diagnostic, ...]]:
     """Return the governance document, valid against its schema, with warnings and notes.
 
@@ -60,7 +60,7 @@ def build(
 
 
 @lru_cache(maxsize=64)
-def _without_findings(governance: Governance, distro: str, lenient: bool) -> bytes:
+def _without_findings(governance: DdsSettings, distro: str, lenient: bool) -> bytes:
     """Return the document, empty if there is something to report; cached, since most packages have an equal one.
 
     Where a governance is written does not count when it is compared, so findings, which name places, are not cached.
@@ -69,7 +69,7 @@ def _without_findings(governance: Governance, distro: str, lenient: bool) -> byt
     return b"" if problems else content
 
 
-def _compile(governance: Governance, distro: str, lenient: bool) -> tuple[bytes, tuple[Diagnostic, ...]]:
+def _compile(governance: DdsSettings, distro: str, lenient: bool) -> tuple[bytes, tuple[Diagnostic, ...]]:
     problems = list(_check(governance, lenient))
     root = dds_xml.root(GOVERNANCE)
     rules = dds_xml.child(root, "domain_access_rules")
@@ -80,7 +80,7 @@ def _compile(governance: Governance, distro: str, lenient: bool) -> tuple[bytes,
     return dds_xml.render(root, GOVERNANCE), tuple(problems)
 
 
-def _check(governance: Governance, lenient: bool) -> Iterator[Diagnostic]:
+def _check(governance: DdsSettings, lenient: bool) -> Iterator[Diagnostic]:
     for rule in governance.domain_rules:
         yield from check_domains(rule.domains, rule.domains_origin or rule.origin, "")
         if rule.allow_unauthenticated_participants and rule.rtps_protection_kind != "NONE":

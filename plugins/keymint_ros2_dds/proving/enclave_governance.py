@@ -73,7 +73,7 @@ class EnclaveGovernance:
     def __init__(self, content: bytes, place: tuple[str, int], package: Package | None) -> None:
         built, self._accepted = b"", False
         if package is not None:
-            governance = settings_of(package).governance
+            governance = settings_of(package)
             built, _ = governance_document.build(
                 governance, package.subject, package.distro, allow_vendor_specific=True
             )

@@ -59,7 +59,7 @@ def test_identities_and_permissions_have_different_authorities() -> None:
     assert {authority.certificate.issuer for authority in profile.authorities} == {""}
     assert {authority.certificate.key for authority in profile.authorities} == {KeySpec("ec", "SECP256R1")}
     assert package.identity.issuer == "identity_ca"
-    assert (package.grant.issuer, settings_of(package).governance.issuer) == ("permissions_ca", "permissions_ca")
+    assert (package.grant.issuer, settings_of(package).issuer) == ("permissions_ca", "permissions_ca")
 
 
 def test_the_flat_layout_has_one_authority_for_identities_and_permissions() -> None:
@@ -67,7 +67,7 @@ def test_the_flat_layout_has_one_authority_for_identities_and_permissions() -> N
     profile, package = workspace.load_profile(), workspace.load()
     assert profile.layout == "flat"
     assert [authority.name for authority in profile.authorities] == ["ca"]
-    assert {package.identity.issuer, package.grant.issuer, settings_of(package).governance.issuer} == {"ca"}
+    assert {package.identity.issuer, package.grant.issuer, settings_of(package).issuer} == {"ca"}
 
 
 def test_validity_begins_at_least_a_day_ago_and_is_written_out() -> None:
@@ -103,7 +103,7 @@ def test_a_long_name_keeps_its_subject_unique() -> None:
 
 
 def test_governance_is_conservative_and_names_the_domain() -> None:
-    (rule,) = settings_of(Workspace.new(replace(REQUEST, domain=42)).load()).governance.domain_rules
+    (rule,) = settings_of(Workspace.new(replace(REQUEST, domain=42)).load()).domain_rules
     assert rule.domains == (DomainRange(42, 42),)
     assert (rule.allow_unauthenticated_participants, rule.enable_join_access_control) == (False, True)
     assert (rule.discovery_protection_kind, rule.liveliness_protection_kind, rule.rtps_protection_kind) == (

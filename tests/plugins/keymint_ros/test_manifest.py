@@ -115,7 +115,7 @@ def test_each_build_type_reads_its_parts_and_its_settings_stay_apart(workspace: 
     loaded = load_for({"mine": reading, "keymint_ros2_dds": build_type}, replace(workspace, package=files))
     assert loaded.build_types == ("mine", "keymint_ros2_dds")
     assert loaded.settings["mine"] == b"<radio/>"
-    assert settings_of(loaded).governance.issuer == "permissions_ca"
+    assert settings_of(loaded).issuer == "permissions_ca"
     (sources,) = reading.seen
     radio, governance = sources.parts["radio"], sources.parts["governance"]
     assert (radio.file, radio.defaults, radio.defaults_file) == (

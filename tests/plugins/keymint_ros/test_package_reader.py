@@ -35,7 +35,7 @@ def test_a_package_without_governance_and_identities_has_the_defaults(workspace:
     bare = workspace.without("governance.xml").without("identities.xml").load()
     full = workspace.load()
     assert bare.identity.subject_name == full.identity.subject_name
-    (bare_rule,), (full_rule,) = (settings_of(each).governance.domain_rules for each in (bare, full))
+    (bare_rule,), (full_rule,) = (settings_of(each).domain_rules for each in (bare, full))
     assert bare_rule.topic_rules == full_rule.topic_rules
     assert str(bare.identity.origin).startswith("/ws/profile/package.defaults/identities.xml:")
 

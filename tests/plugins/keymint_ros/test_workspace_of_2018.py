@@ -47,11 +47,11 @@ def test_its_profile(profile: WorkspaceProfile) -> None:
 def test_its_packages(profile: WorkspaceProfile, name: str) -> None:
     package = _load(profile, name)
     assert package.identity.subject_name == f"CN={name}" == package.grant.subject_name
-    assert (package.identity.issuer, package.grant.issuer, settings_of(package).governance.issuer) == ("ca", "ca", "ca")
+    assert (package.identity.issuer, package.grant.issuer, settings_of(package).issuer) == ("ca", "ca", "ca")
     assert package.identity.serial is None
     assert package.grant.domains == (DomainRange(0, 0),)
     assert len(package.grant.rules.rules) == 8
-    (domain,) = settings_of(package).governance.domain_rules
+    (domain,) = settings_of(package).domain_rules
     assert [(rule.expression, rule.enable_liveliness_protection) for rule in domain.topic_rules] == [("*", True)]
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 from datetime import UTC, datetime
 
-from keymint_ros2_dds.settings import BUILD_TYPE, DdsSettings, DomainRule, Governance, TopicProtection, settings_of
+from keymint_ros2_dds.settings import BUILD_TYPE, DdsSettings, DomainRule, TopicProtection, settings_of
 
 from comarmor.errors import Origin
 from comarmor.rules import Effect
@@ -39,12 +39,12 @@ def package(*rules: Rule, subject: str = "/talker", distro: str = "jazzy", name:
     key = KeySpec("ec", "SECP256R1")
     identity = CertificateSpec(subject_name, VALIDITY, None, "identity_ca", "SHA256", key, (), ORIGIN)
     usual = Grant("permissions_ca", subject, subject_name, VALIDITY, DOMAIN, SubjectRules(subject, rules), ORIGIN)
-    governance = Governance("permissions_ca", (domain_rule(),))
+    governance = DdsSettings("permissions_ca", (domain_rule(),))
     grant = replace(usual, **fields)
-    return Package(subject[1:], subject, distro, identity, grant, (BUILD_TYPE,), {BUILD_TYPE: DdsSettings(governance)})
+    return Package(subject[1:], subject, distro, identity, grant, (BUILD_TYPE,), {BUILD_TYPE: governance})
 
 
 def governed(loaded: Package, **fields) -> Package:
     """Return a package with another governance; ``fields`` are those that differ."""
-    governance = replace(settings_of(loaded).governance, **fields)
-    return replace(loaded, settings={BUILD_TYPE: DdsSettings(governance)})
+    governance = replace(settings_of(loaded), **fields)
+    return replace(loaded, settings={BUILD_TYPE: governance})

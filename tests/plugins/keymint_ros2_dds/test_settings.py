@@ -35,7 +35,7 @@ def test_a_governance_overrides_its_defaults_and_keeps_their_last_rule(workspace
            </domain_rule>
            <domain_rule><domains><id_range><min>1</min><max>4</max></id_range></domains></domain_rule>""",
     ).load()
-    first, second = settings_of(package).governance.domain_rules
+    first, second = settings_of(package).domain_rules
     assert (first.domains, first.rtps_protection_kind, first.discovery_protection_kind) == (
         (DomainRange(0, 0),),
         "NONE",
