@@ -14,7 +14,6 @@ from dataclasses import replace
 from datetime import datetime
 from functools import lru_cache
 
-from comarmor.values import dataclass
 from keymint.api import Claim, ComparisonTask, ExcessRights, Holder, PresentableDocument, PresentationTask, Proof
 from keymint.errors import KeymintError
 from keymint.pki import distinguished_names
@@ -57,12 +56,8 @@ def trusting_any_signer() -> tuple[str, ...]:
     return tuple(name for name, each in VARIATIONS.items() if each.any_signer)
 
 
-@dataclass(frozen=True, slots=True)
-class _Identity:
-    """A holder, and its name in the order in which grants have it."""
-
-    holder: Holder
-    name: str
+_Identity = tuple[Holder, str]
+"""A holder, and its name in the order in which grants have it."""
 
 
 class _Identities:
@@ -70,8 +65,8 @@ class _Identities:
 
     def __init__(self, holders: Iterable[Holder]) -> None:
         names = ((each, distinguished_names.parse(each.name)) for each in holders)
-        own = [(_Identity(each, subject_names.of_any(name)), name) for each, name in names]
-        words = [required_tokens(each.name) for each, _ in own]
+        own = [((each, subject_names.of_any(name)), name) for each, name in names]
+        words = [required_tokens(written) for (_, written), _ in own]
         frequent = Counter(word for of_name in words for word in of_name)
         self._by_word: dict[str, list[_Identity]] = {}
         self._odd: list[_Identity] = []
@@ -121,15 +116,16 @@ def _of_document(
     except KeymintError as error:
         yield from _unread(task, given, str(error.diagnostics[0]))
         return
-    for identity in identities.of(_readings(document)):
-        by_reading = {id(each): _chosen(document, identity, each) for each in _CHOOSING}
-        chosen = {name: by_reading[id(each)] for name, each in _SEMANTICS.items()}
+    for holder, name in identities.of(_readings(document)):
+        by_reading = {id(each): _chosen(document, name, each) for each in _CHOOSING}
+        chosen = {model: by_reading[id(each)] for model, each in _SEMANTICS.items()}
         ends = _until(grant for grants in by_reading.values() for grant in grants)
         if ends is None or ends < task.now:
             continue
-        claims = tuple(_claims(task, given, document, identity, _to_prove(task, chosen, identity, known), known))
+        models = _to_prove(task, chosen, holder, known)
+        claims = tuple(_claims(task, given, document, (holder, name), models, known))
         if claims:
-            yield ExcessRights(identity.holder, given, claims, min(ends, identity.holder.until))
+            yield ExcessRights(holder, given, claims, min(ends, holder.until))
 
 
 def _readings(document: PermissionsDocument) -> set[str]:
@@ -138,17 +134,17 @@ def _readings(document: PermissionsDocument) -> set[str]:
     return {reads(grant.subject_name) for grant in document.grants for reads in readers}
 
 
-def _chosen(document: PermissionsDocument, identity: _Identity, semantics: Semantics) -> Sequence[DocumentGrant]:
-    return () if semantics.refusal(document) else semantics.grants(document, identity.name)
+def _chosen(document: PermissionsDocument, name: str, semantics: Semantics) -> Sequence[DocumentGrant]:
+    return () if semantics.refusal(document) else semantics.grants(document, name)
 
 
 def _to_prove(
-    task: PresentationTask, chosen: Mapping[str, Sequence[DocumentGrant]], identity: _Identity, known: str
+    task: PresentationTask, chosen: Mapping[str, Sequence[DocumentGrant]], holder: Holder, known: str
 ) -> list[str]:
     """Return the models whose claims are not proven with the enclave itself."""
-    if identity.holder.name != known:
+    if holder.name != known:
         return [name for name, grants in chosen.items() if grants]
-    proven = shipped_models(task.distro or identity.holder.distro)
+    proven = shipped_models(task.distro or holder.distro)
     return [name for name in chosen if name not in proven and not any(_alike(chosen, name, each) for each in proven)]
 
 
@@ -183,10 +179,10 @@ def _claims(
     """Yield the claims that fail: a holder's own document must permit its rights, all others at most these."""
     if not models:
         return
-    holder = identity.holder
+    holder, own_name = identity
     place = given.where.file, given.lines_before
     held = ComparisonTask(
-        given.content, *place, identity.name, holder.rules, holder.distro, holder.domains, task.states, task.go_on
+        given.content, *place, own_name, holder.rules, holder.distro, holder.domains, task.states, task.go_on
     )
     since = None if holder.name == known else task.now
     try:
