@@ -158,7 +158,7 @@ class Client:
         """
         from keymint.commands.robots.bundle import bundle  # noqa: PLC0415 - of no use to other calls
 
-        (made,) = self._verb(bundle, (subject,), output=Path(output)).result["bundles"]
+        (made,) = self._verb(bundle, (subject,), output=Path(output), staged=False).result["bundles"]
         return Path(made["file"])
 
     # -- how -----------------------------------------------------------------------------------------------------

@@ -80,10 +80,10 @@ def package_name(text: str) -> str:
     return name
 
 
-def subject_list(names: Sequence[str]) -> str:
-    """Return the subjects of some packages in one line: ``/a, /b``; of many packages the first, and how many more."""
-    more = len(names) - _LISTED
-    return ", ".join(subject_of(name) for name in names[:_LISTED]) + (f" and {more} more" if more > 0 else "")
+def subject_list(subjects: Sequence[str]) -> str:
+    """Return subjects in one line: ``/a, /b``; of many the first, and how many more."""
+    more = len(subjects) - _LISTED
+    return ", ".join(subjects[:_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
 def refuse_case_collisions(names: Iterable[str]) -> None:

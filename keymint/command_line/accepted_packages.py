@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Accept what ROS packages ship, and show what is not accepted yet: who would gain and who would lose what."""
+"""The options by which the owner of a workspace accepts what ROS packages ship."""
 
 from __future__ import annotations
 
@@ -7,16 +7,12 @@ from collections.abc import Mapping
 
 import click
 
-from comarmor.errors import Diagnostic
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
-from keymint.command_line.options import option_group
-from keymint.errors import KeymintError, usage_error
-from keymint.output.report import Report
-from keymint.run.run import Run
+from keymint.command_line.verb import flag, option, option_group
+from keymint.errors import usage_error
 from keymint.stages.work import Work
 from keymint.workspace.policy_loading import plan_acceptance
-from keymint.workspace.shipped_profiles import UnacceptedPackagesError
 
 _DIGEST = lazy_regex("[0-9a-f]{64}")
 
@@ -43,26 +39,18 @@ class AcceptanceOptions:
         trust_links: symbolic links of these packages may lead out of them.
     """
 
-    accept_package: Mapping[str, str]
-    trust_links: bool
-
-
-acceptance_options = option_group(
-    "acceptance",
-    AcceptanceOptions,
-    click.option(
-        "--accept-package",
+    accept_package: Mapping[str, str] = option(
         multiple=True,
         callback=_named,
         metavar="NAME[=SHA256]",
         help="Accept the profiles that this ROS package ships, as they are now (docs/packages.md). May be repeated.",
-    ),
-    click.option(
-        "--trust-links",
-        is_flag=True,
-        help="Follow symbolic links out of the accepted packages, as 'colcon build --symlink-install' makes.",
-    ),
-)
+    )
+    trust_links: bool = flag(
+        "Follow symbolic links out of the accepted packages, as 'colcon build --symlink-install' makes."
+    )
+
+
+acceptance_options = option_group(AcceptanceOptions)
 
 
 def accept(work: Work, options: AcceptanceOptions) -> Work:
@@ -76,27 +64,3 @@ def accept(work: Work, options: AcceptanceOptions) -> Work:
     if options.trust_links:
         raise usage_error("--trust-links needs --accept-package", "name the package whose links are to be followed")
     return work
-
-
-def unaccepted_report(run: Run, error: UnacceptedPackagesError) -> Report:
-    """Return the report of a verb that met files of packages that nobody accepted, and show what they change."""
-    # Few runs need the comparison, and it takes time to import.
-    from keymint.analysis.policy_diff import diff_policies  # noqa: PLC0415
-    from keymint.output.differences import as_text, summary  # noqa: PLC0415
-    from keymint.output.json import differences_json  # noqa: PLC0415
-
-    files = [
-        {"package": each.package, "path": each.path, "accepted": accepted or None, "shipped": each.sha256}
-        for each, accepted in error.files.items()
-    ]
-    result: dict[str, object] = {"unaccepted": files, "subjects": None}
-    diagnostics = error.diagnostics
-    try:
-        differences = diff_policies(error.before(), error.after)
-    except KeymintError as reason:
-        why = f"what that changes cannot be shown, since the accepted files do not fit the policy: {reason}"
-        diagnostics = (*diagnostics, Diagnostic.warning("package-diff", why, None, "read the files"))
-    else:
-        run.console.lines((*as_text(differences, run.place), summary(differences)))
-        result["subjects"] = differences_json(differences, run.typed)
-    return run.report(result, diagnostics, error.exit_code, workspace=run.known_workspace)

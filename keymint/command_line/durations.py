@@ -22,60 +22,12 @@ LONGEST = timedelta(days=365 * 200)
 _EXAMPLES = "write 12h, 30d, 4w or 2y"
 
 
-def period(_context: click.Context, _parameter: click.Parameter, value: str) -> timedelta:
+def period(value: str) -> timedelta:
     """Return a length of time for an option, e.g. ``30d``; a year has 365 days.
 
     Raises:
         click.BadParameter: it is none, or longer than any validity.
     """
-    return _length(value)
-
-
-def optional_validity(_context: click.Context, _parameter: click.Parameter, value: str | None) -> timedelta | None:
-    """Return a length of validity for an option, at least an hour, or None if it is not given.
-
-    Raises:
-        click.BadParameter: it is no length of time, or not between an hour and 200 years.
-    """
-    return None if value is None else _valid(value)
-
-
-def validity(_context: click.Context, _parameter: click.Parameter, value: str | None) -> str | None:
-    """Return a length of validity for an option as an ISO 8601 duration: ``P90D`` for ``90d``; None if there is none.
-
-    Raises:
-        click.BadParameter: it is no length of time, or not between an hour and 200 years.
-    """
-    if value is None:
-        return None
-    _valid(value)
-    if value.startswith("P"):
-        return value
-    number, unit = int(value[:-1]), value[-1].upper()
-    return f"PT{number}H" if unit == "H" else f"P{number}{unit}"
-
-
-def threshold(_context: click.Context, _parameter: click.Parameter, value: str) -> Threshold:
-    """Return when something is due for renewal: ``66%`` of its validity, or the time that is left, e.g. ``30d``.
-
-    Raises:
-        click.BadParameter: it is neither, or not a share between 1 % and 99 %.
-    """
-    if match := re.fullmatch(r"([1-9][0-9]?)%", value):
-        return Threshold(share=int(match[1]) / 100)
-    if value.endswith("%"):
-        raise click.BadParameter(f"{value!r} is not a share from 1% to 99%")
-    return Threshold(left=_length(value))
-
-
-def _valid(value: str) -> timedelta:
-    length = _length(value)
-    if length < _SHORTEST:
-        raise click.BadParameter(f"{value!r} is shorter than an hour")
-    return length
-
-
-def _length(value: str) -> timedelta:
     if match := re.fullmatch(r"([0-9]{1,6})([hdwy])", value):
         length = int(match[1]) * _UNITS[match[2]]
     elif match := _ISO.fullmatch(value):
@@ -86,3 +38,37 @@ def _length(value: str) -> timedelta:
     if length > LONGEST:
         raise click.BadParameter(f"{value!r} is longer than any validity")
     return length
+
+
+def validity(value: str) -> timedelta:
+    """Return a length of validity for an option.
+
+    Raises:
+        click.BadParameter: it is no length of time, or not between an hour and 200 years.
+    """
+    length = period(value)
+    if length < _SHORTEST:
+        raise click.BadParameter(f"{value!r} is shorter than an hour")
+    return length
+
+
+def iso_validity(value: str) -> str:
+    """Return a length of validity for an option as an ISO 8601 duration: ``P90D`` for ``90d``; errors as above."""
+    validity(value)
+    if value.startswith("P"):
+        return value
+    number, unit = int(value[:-1]), value[-1].upper()
+    return f"PT{number}H" if unit == "H" else f"P{number}{unit}"
+
+
+def threshold(value: str) -> Threshold:
+    """Return when something is due for renewal: ``66%`` of its validity, or the time that is left, e.g. ``30d``.
+
+    Raises:
+        click.BadParameter: it is neither, or not a share between 1 % and 99 %.
+    """
+    if match := re.fullmatch(r"([1-9][0-9]?)%", value):
+        return Threshold(share=int(match[1]) / 100)
+    if value.endswith("%"):
+        raise click.BadParameter(f"{value!r} is not a share from 1% to 99%")
+    return Threshold(left=period(value))

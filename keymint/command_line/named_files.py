@@ -7,7 +7,7 @@ import os
 import stat
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from comarmor.errors import Origin
 from keymint.errors import KeymintError
@@ -15,6 +15,9 @@ from keymint.run.run import Run
 from keymint.store.changes import File
 from keymint.store.user_files import write_files
 from keymint.view.tree import read_file
+
+if TYPE_CHECKING:
+    from keymint.drawing.labelled_graph import LabelledGraph
 
 
 def read_input(run: Run, path: Path, most: int | None = None) -> bytes:
@@ -40,7 +43,13 @@ def read_input(run: Run, path: Path, most: int | None = None) -> bytes:
 
 
 def write_outputs(
-    run: Run, path: Path, content: bytes, beside: Mapping[str, bytes] | None = None, *, secret: bool = False
+    run: Run,
+    path: Path,
+    content: bytes,
+    beside: Mapping[str, bytes] | None = None,
+    *,
+    secret: bool = False,
+    keep: KeymintError | None = None,
 ) -> list[str]:
     """Write a file that the user named, and files beside it, atomically; unchanged files are not written.
 
@@ -50,13 +59,16 @@ def write_outputs(
         content: its bytes.
         beside: further files by path relative to its folder, written first.
         secret: the file is 0600 from its first byte, and the folder stays as it is.
+        keep: the error if the file has other content; None replaces it.
 
     Returns:
         The files that are, or would be, written, as the user would type them.
 
     Raises:
-        KeymintError: the path is a link or a directory, or the system refuses.
+        KeymintError: the path is a link or a directory, or the file is to be kept, or the system refuses.
     """
+    if keep and exists(run, path) and read_input(run, path) != content:
+        raise keep
     folder = _resolved(run, path.parent)
     wanted = {folder / name: File(data, secret=secret) for name, data in (beside or {}).items()}
     wanted[folder / path.name] = File(content, secret=secret)
@@ -97,44 +109,27 @@ def show_written(run: Run, path: Path, written: list[str]) -> None:
         run.console.line(f"{path} is up to date")
 
 
-def deliver(run: Run, output: Path | None, content: bytes) -> dict[str, Any]:
+def deliver(run: Run, output: Path | None, content: bytes, keep: KeymintError | None = None) -> dict[str, Any]:
     """Write a document to the file that the user named, or print it.
 
     Args:
         run: the run.
         output: the file; None for standard output.
         content: the document.
+        keep: as for :func:`write_outputs`.
 
     Returns:
         What the result of a verb says about it: the file, and what was written.
 
     Raises:
-        KeymintError: the file cannot be written.
+        KeymintError: the file cannot be written, or is to be kept.
     """
     if output is None:
         run.console.document(content)
         return {"file": None, "written": []}
-    written = write_outputs(run, output, content)
+    written = write_outputs(run, output, content, keep=keep)
     show_written(run, output, written)
     return {"file": str(output), "written": written}
-
-
-def refuse_replacing(run: Run, path: Path, content: bytes, what: str, help_: str, code: str) -> None:
-    """Refuse to replace a file that has other content.
-
-    Args:
-        run: the run.
-        path: the file that the user named.
-        content: what it is to have.
-        what: the content in words.
-        help_: what to do instead.
-        code: of the error.
-
-    Raises:
-        KeymintError: it exists, and is different.
-    """
-    if exists(run, path) and read_input(run, path) != content:
-        raise KeymintError(f"exists and differs from {what}", where=Origin(str(path)), help=help_, code=code)
 
 
 def exists(run: Run, path: Path) -> bool:
@@ -145,6 +140,18 @@ def exists(run: Run, path: Path) -> bool:
 def is_folder(run: Run, path: Path) -> bool:
     """Return whether a path that the user named is an existing folder."""
     return _resolved(run, path).is_dir()
+
+
+def source_files(run: Run, labelled: LabelledGraph) -> Mapping[str, bytes]:
+    """Return the content of the files that a graph refers to, by name."""
+    places = {
+        label.where
+        for edge in labelled.edges
+        for label in (edge.policy, *edge.transports)
+        if label is not None and label.where
+    }
+    files = sorted({each.file for place in places for each in (place, *place.chain)})
+    return {file: read_input(run, Path(file)) for file in files if exists(run, Path(file))}
 
 
 def _current(path: Path) -> bytes | None:

@@ -7,38 +7,20 @@ import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 
-import click
-
-from comarmor.values import dataclass
-from keymint.command_line.options import PATH
+from keymint.command_line.verb import PATH, option
 from keymint.errors import usage_error
 from keymint.robots.robot_keystore import Keystore
 from keymint.run.run import Run
 from keymint.store.store import Store
-from keymint.view.tree import Tree
 from keymint.workspace.workspace import shown_path
 
 VARIABLE = "ROS_SECURITY_KEYSTORE"
 """The environment variable by which ROS 2 finds the keystore."""
 
-folder_option = click.option(
-    "--folder", type=PATH, metavar="DIR", help=f"The keystore of this robot; need not exist [${VARIABLE}]."
-)
+folder_option = option(type=PATH, metavar="DIR", help=f"The keystore of this robot; need not exist [${VARIABLE}].")
 
 
-@dataclass(frozen=True, slots=True)
-class RobotKeystore:
-    """The keystore of a robot: its absolute path, and the same as the user would type it."""
-
-    root: Path
-    typed: str
-
-    def read(self) -> Keystore:
-        """Return the keystore as it is now."""
-        return Keystore(self.root, self.typed, Tree())
-
-
-def keystore_of(run: Run, folder: Path | None) -> RobotKeystore:
+def keystore_of(run: Run, folder: Path | None) -> Keystore:
     """Return the keystore that the user named, or that the environment names.
 
     Raises:
@@ -50,14 +32,13 @@ def keystore_of(run: Run, folder: Path | None) -> RobotKeystore:
             "the keystore is not known", f"name it with --folder, or set {VARIABLE} as for the nodes of this robot"
         )
     root = (run.setting.cwd / named).resolve()
-    return RobotKeystore(root, shown_path(root, run.setting.cwd))
+    return Keystore(root, shown_path(root, run.setting.cwd))
 
 
 @contextlib.contextmanager
-def opened_store(run: Run, keystore: RobotKeystore) -> Iterator[Store]:
+def opened_store(run: Run, keystore: Keystore) -> Iterator[Store]:
     """Yield the writer of a keystore, whose lock is held; what was interrupted is finished or dropped first."""
-    records = keystore.read().records
-    store = Store({keystore.root: False}, records)
+    store = Store({keystore.root: False}, keystore.records)
     with store.locked(run.console.waiting):
         run.interrupted = store.recover()
         yield store

@@ -1,57 +1,68 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Makes click commands of the functions that carry out verbs."""
+"""What a verb consists of: it makes click commands of functions from a run and options to a report.
+
+Each argument of such a function says by its default what the command line has for it: ``output: Path | None =
+option("-o", type=FILE)`` is an option ``-o/--output`` with its value, named once.
+"""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+import inspect
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import fields
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
-from keymint.command_line.options import common_options, require_known_plugins
-from keymint.errors import ExitCode, KeymintError
-from keymint.output.report import Report
+from comarmor.errors import Diagnostic
+from comarmor.values import dataclass
+from keymint import SPACES
+from keymint.api import GraphSource
+from keymint.api.plugin_loader import Plugins
+from keymint.errors import ExitCode, KeymintError, usage_error
+from keymint.executors import PROCESSES
+from keymint.output.report import Report, findings_exit, findings_if
 from keymint.run.run import Run, Setting
 from keymint.workspace.shipped_profiles import UnacceptedPackagesError
 
+__all__ = [
+    "FILE", "PATH", "Number", "OptionGroup", "PluginOption", "Report", "Run", "argument", "findings_exit",
+    "findings_if", "flag", "graph_source", "option", "option_group", "parameters_of", "plugin", "verb",
+]  # fmt: skip
 Verb = Callable[..., Report]
 """The function of a verb; ``inspect.unwrap`` finds it below the callback of its click command."""
+PATH = click.Path(path_type=Path)
+FILE = click.Path(path_type=Path, dir_okay=False)
 
 
-def verb(
-    *,
-    workspace: bool = True,
-    jobs: bool = False,
-    dry_run: bool = False,
-    executor: bool = False,
-    of: str = "",
-    name: str = "",
-) -> Callable[[Verb], click.Command]:
+def verb(*, of: str = "", name: str = "", **common: bool) -> Callable[[Verb], click.Command]:
     """Return a decorator that makes a click command of a function ``(run, **options) -> Report``.
 
-    The command adds the common options (see :func:`keymint.command_line.options.common_options`), shows the report or
-    the error, and ends with the exit code. Its name is that of the function's module, without the name of the group and
-    an underscore.
+    The defaults of the function's arguments are its options. The command adds the common options, shows the report or
+    the error, and ends with the exit code. Its name is that of the function, without the name of the group and an
+    underscore.
 
     Args:
-        workspace: see :func:`keymint.command_line.options.common_options`, as for the next three.
-        jobs: the verb writes several packages at a time.
-        dry_run: the verb writes files.
-        executor: the verb can compute in other processes.
-        name: its name, if that is not the name of its module.
         of: the group of verbs that it belongs to, e.g. ``authority``; empty if it stands alone.
+        name: its name, if that is not the name of the function.
+        common: which common options it has; see :func:`common_options`.
     """
-    shared = list(common_options(workspace=workspace, jobs=jobs, dry_run=dry_run, executor=executor))
+    shared = list(common_options(**common))
     names = {"jobs", *(option.name for option in shared)}  # 'check' declares --jobs itself
 
     def decorate(function: Verb) -> click.Command:
-        module = function.__module__.rsplit(".", 1)[-1]
-        own_name = name or module.removeprefix(f"{of}_")
+        own_name = name or function.__name__.removeprefix(f"{of}_")
         said = f"{of} {own_name}".strip()
+        parameters, groups = parameters_of(function)
 
         def command(context: click.Context, /, **options: Any) -> None:
             common = {key: options.pop(key) for key in list(options) if key in names}
+            options |= {key: group.taken(options) for key, group in groups.items()}
             setting: Setting = context.find_root().obj()
             run = Run(setting, said, common)
 
@@ -63,7 +74,7 @@ def verb(
 
         functools.update_wrapper(command, function)
         made = click.command(own_name)(click.pass_context(command))
-        made.params += shared
+        made.params += [*parameters, *shared]
         return made
 
     return decorate
@@ -74,10 +85,220 @@ def _guarded(run: Run, function: Callable[[], Report]) -> ExitCode:
     try:
         report = function()
     except UnacceptedPackagesError as error:
-        from keymint.command_line.accepted_packages import unaccepted_report  # noqa: PLC0415 - few runs need it
-
-        report = unaccepted_report(run, error)
+        report = _unaccepted_report(run, error)
     except KeymintError as error:
         report = run.report({}, error.diagnostics, error.exit_code, workspace=run.known_workspace)
     run.console.show(run.presented(run.told(report)))
     return report.exit_code
+
+
+def _unaccepted_report(run: Run, error: UnacceptedPackagesError) -> Report:
+    """Return the report of a verb that met files of packages that nobody accepted, and show what they change."""
+    # Few runs need the comparison, and it takes time to import.
+    from keymint.analysis.policy_diff import diff_policies  # noqa: PLC0415
+    from keymint.output.differences import as_text, summary  # noqa: PLC0415
+    from keymint.output.json import differences_json  # noqa: PLC0415
+
+    files = [
+        {"package": each.package, "path": each.path, "accepted": accepted or None, "shipped": each.sha256}
+        for each, accepted in error.files.items()
+    ]
+    result: dict[str, object] = {"unaccepted": files, "subjects": None}
+    diagnostics = error.diagnostics
+    try:
+        differences = diff_policies(error.before(), error.after)
+    except KeymintError as reason:
+        why = f"what that changes cannot be shown, since the accepted files do not fit the policy: {reason}"
+        diagnostics = (*diagnostics, Diagnostic.warning("package-diff", why, None, "read the files"))
+    else:
+        run.console.lines((*as_text(differences, run.place), summary(differences)))
+        result["subjects"] = differences_json(differences, run.typed)
+    return run.report(result, diagnostics, error.exit_code, workspace=run.known_workspace)
+
+
+# -- its own parameters ----------------------------------------------------------------------------------------------
+
+
+class Number(click.FloatRange):
+    """A number within a range. Refuses "nan", which passes every range check."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the number, or fail as click does."""
+        number: float = super().convert(value, param, ctx)
+        if math.isnan(number):
+            self.fail(f"{value!r} is not a number", param, ctx)
+        return number
+
+
+class PluginOption(click.Option):
+    """An option that names a plugin.
+
+    Args:
+        group: the entry-point group of the plugin.
+    """
+
+    def __init__(self, *arguments: Any, group: str, **settings: Any) -> None:
+        super().__init__(*arguments, metavar="NAME", **settings)
+        self.group = group
+
+
+def require_known_plugins(context: click.Context, plugins: Plugins) -> None:
+    """Require that each plugin that the command line names is installed.
+
+    Raises:
+        KeymintError: a plugin is not installed; the exit code is that of a usage error.
+    """
+    for parameter in context.command.params:
+        if not isinstance(parameter, PluginOption) or parameter.name is None:
+            continue
+        if context.get_parameter_source(parameter.name) is ParameterSource.COMMANDLINE:
+            value = context.params[parameter.name]
+            for name in value if isinstance(value, tuple) else (value,):
+                plugins.require(parameter.group, name)
+
+
+@dataclass(frozen=True, slots=True)
+class OptionGroup:
+    """Options whose values reach a verb together, as one argument.
+
+    Attributes:
+        kind: data type of the argument.
+        options: the option of each field that the command line gives, in the order of the help page.
+        check: raises a usage error for values that exclude each other.
+    """
+
+    kind: type
+    options: Mapping[str, Any]
+    check: Callable[[Any], None]
+
+    def taken(self, values: dict[str, Any]) -> Any:
+        """Return the argument that the values of the options make, which are taken from all values."""
+        made = self.kind(**{name: values.pop(name) for name in self.options})
+        self.check(made)
+        return made
+
+
+def option(*names: str, cls: type[click.Option] = click.Option, **settings: Any) -> Any:
+    """Return the default of an argument that an option gives.
+
+    Args:
+        names: its names; without a long one, the name of the argument.
+        cls: kind of the option.
+        settings: as of :class:`click.Option`.
+    """
+    return partial(_option, names, cls, settings)
+
+
+def flag(text: str, *names: str) -> Any:
+    """Return the default of an argument that is true if an option is given; the help page has a text about it."""
+    return option(*names, is_flag=True, help=text)
+
+
+def plugin(group: str, text: str, *names: str, **settings: Any) -> Any:
+    """Return the default of an argument that names a plugin of an entry-point group; see :func:`option`."""
+    return option(*names, cls=PluginOption, group=group, help=text, **settings)
+
+
+def argument(**settings: Any) -> Any:
+    """Return the default of an argument that the command line gives by its position; see :class:`click.Argument`."""
+    return partial(lambda name: click.Argument([name], **settings))
+
+
+def option_group(kind: type, check: Callable[[Any], None] = lambda _: None, **options: Any) -> Any:
+    """Return the default of an argument that several options give together.
+
+    Args:
+        kind: data type of the argument; its fields may have options as defaults.
+        check: raises a usage error for values that exclude each other.
+        options: options for further fields.
+    """
+    declared = {each.name: each.default for each in fields(kind) if isinstance(each.default, partial)}
+    return OptionGroup(kind, {**declared, **options}, check)
+
+
+def parameters_of(function: Callable[..., Any]) -> tuple[list[click.Parameter], Mapping[str, OptionGroup]]:
+    """Return what the command line has for the arguments of a verb's function, in their order, and its groups."""
+    found: list[click.Parameter] = []
+    groups: dict[str, OptionGroup] = {}
+    for each in inspect.signature(function).parameters.values():
+        if isinstance(each.default, OptionGroup):
+            groups[each.name] = each.default
+            found += (made(name) for name, made in each.default.options.items())
+        elif isinstance(each.default, partial):
+            found.append(each.default(each.name))
+    return found, groups
+
+
+def _option(names: tuple[str, ...], cls: type[click.Option], settings: Mapping[str, Any], name: str) -> click.Option:
+    long = () if any(each.startswith("--") for each in names) else (f"--{name.replace('_', '-')}",)
+    return cls([name, *names, *long], **settings)
+
+
+def graph_source(plugins: Plugins, name: str | None, option: str) -> GraphSource:
+    """Return the graph source of a name; without a name the only installed one.
+
+    Args:
+        plugins: the installed plugins.
+        name: what the command line names, or None.
+        option: the option that names it, for the message.
+
+    Raises:
+        KeymintError: no name is given, and several graph sources are installed, or none; or it cannot be loaded.
+    """
+    if name is not None:
+        return plugins.graph_source(name)
+    installed = plugins.names("keymint.graph_sources")
+    if len(installed) == 1:
+        return plugins.graph_source(installed[0])
+    if not installed:
+        raise usage_error("no graph source is installed", "'keymint plugins' lists the installed plugins")
+    raise usage_error(f"several graph sources are installed: {', '.join(installed)}", f"choose one: {option} NAME")
+
+
+# -- the options of all verbs ----------------------------------------------------------------------------------------
+
+
+def common_options(
+    *, workspace: bool = True, jobs: bool = False, dry_run: bool = False, executor: bool = False
+) -> Iterator[click.Option]:
+    """Yield the options that are not about what a verb does.
+
+    Args:
+        workspace: the verb may read or write a workspace.
+        jobs: the verb writes several packages at a time.
+        dry_run: the verb writes files.
+        executor: the verb can compute in other processes, here or on a cluster.
+    """
+    if workspace:
+        yield click.Option(
+            ["-w", "--workspace"],
+            type=PATH,
+            metavar="DIR",
+            help="Workspace directory [the one that contains the current directory]. 'keymint --help' lists "
+            "the options that move its spaces.",
+        )
+    yield click.Option(["--json", "as_json"], is_flag=True, help="Print one JSON document (docs/json.md).")
+    yield click.Option(["-v", "--verbose"], count=True, help="Show every step, file and note.")
+    yield click.Option(["-q", "--quiet"], is_flag=True, help="Show errors only.")
+    for space in SPACES if workspace else ():  # 'keymint --help' lists them
+        yield click.Option([f"--{space}-space"], type=PATH, metavar="DIR", hidden=True)
+    if jobs or executor:
+        what = "Write N packages at a time [all cores]." if jobs else "Use N processes [all cores]."
+        yield click.Option(["-j", "--jobs"], type=click.IntRange(1, 256), metavar="N", help=what)
+    if executor:
+        yield click.Option(
+            ["--executor"],
+            default=PROCESSES,
+            show_default=True,
+            metavar="WHERE",
+            help="Compute in processes of this machine, or on a cluster: dask://HOST:PORT, tls://HOST:PORT "
+            "(docs/scale.md).",
+        )
+    if executor and dry_run:  # the verbs that sign, or record what is proven
+        yield click.Option(
+            ["--trust-executor"],
+            is_flag=True,
+            help="Accept what the cluster proves; else documents are proven again here before they are signed.",
+        )
+    if dry_run:
+        yield click.Option(["--dry-run"], is_flag=True, help="Show what would change; write nothing.")

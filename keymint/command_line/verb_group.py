@@ -19,13 +19,11 @@ class VerbGroup(click.Group):
     Attributes:
         GROUPS: each verb with its help, by the title of its group.
         MODULE: module of a verb, with places for its group in small letters and for its name.
-        NAME: name of the command in its module, with a place for the name of the verb.
-        MODULES: what stands for the name of a verb in both, where that is a keyword of Python.
+        MODULES: what stands there for the name of a verb whose module has another one.
     """
 
     GROUPS: Mapping[str, Mapping[str, str]]
     MODULE = "keymint.commands.{group}.{verb}"
-    NAME = "{}"
     MODULES: Mapping[str, str] = MappingProxyType({})
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -39,11 +37,10 @@ class VerbGroup(click.Group):
         group = next((title for title, verbs in self.GROUPS.items() if cmd_name in verbs), None)
         if group is None:
             return None
-        name = self.MODULES.get(cmd_name, cmd_name)
+        module = self.MODULE.format(group=group.lower(), verb=self.MODULES.get(cmd_name, cmd_name))
         with held_signals():
-            module = importlib.import_module(self.MODULE.format(group=group.lower(), verb=name))
-        command: click.Command = getattr(module, self.NAME.format(name))
-        return command
+            found = vars(importlib.import_module(module)).values()
+        return next(each for each in found if isinstance(each, click.Command) and each.name == cmd_name)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from datetime import datetime
 from typing import IO, Any
 
 from comarmor.errors import Diagnostic, Severity
@@ -158,11 +159,16 @@ class Console:
         if not self._json and self._verbosity >= 0:
             self._streams.out.write(_paint(text, colour, colour=bool(colour) and self._streams.colour_out) + "\n")
 
-    def table(self, columns: list[str], rows: list[list[str]]) -> None:
-        """Show a table as aligned text, one line per row."""
+    def table(self, columns: Mapping[str, str], rows: Iterable[Mapping[str, Any]]) -> None:
+        """Show a table as aligned text, one line per row.
+
+        Args:
+            columns: the member of the rows that each column has, by its title.
+            rows: data as for ``--json``; what is missing, none or empty is shown as ``-``.
+        """
         if self._json or self._verbosity < 0:
             return
-        lines = [[printable(cell) for cell in row] for row in (columns, *rows)]
+        lines = [[*columns], *([_cell(row.get(member)) for member in columns.values()] for row in rows)]
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
         for index, line in enumerate(lines):
             text = "  ".join(map(str.ljust, line, widths)).rstrip()
@@ -196,6 +202,20 @@ class Console:
     def _say_err(self, text: str) -> None:
         self._streams.err.write(f"{text}\n")
         self._streams.err.flush()
+
+
+def _cell(value: Any) -> str:
+    """Return a value in a table: a moment as its day, several values with blanks between them."""
+    match value:
+        case None | "" | () | []:
+            return "-"
+        case bool():
+            return "yes" if value else "no"
+        case datetime():
+            return f"{value:%Y-%m-%d}"
+        case tuple() | list():
+            return " ".join(map(_cell, value))
+    return printable(str(value))
 
 
 def _counted(steps: Any) -> str:

@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Sequence
 
-from comarmor.errors import Origin
+from comarmor.errors import Origin, Spot
+from comarmor.regex import lazy_regex
 from comarmor.text import counted
 from keymint.analysis.permission_changes import PermissionChange
 from keymint.analysis.policy_diff import SubjectChanges
@@ -65,3 +67,84 @@ def object_text(change: PermissionChange, code: Callable[[str], str]) -> str:
     if change.whole:
         return pattern if change.example == change.pattern else f"{pattern}, e.g. {code(change.example)}"
     return f"on part of {pattern}, e.g. {code(change.example)}"
+
+
+def markdown(
+    differences: Sequence[SubjectChanges],
+    place: Callable[[Origin | None], str],
+    library: Callable[[str], str | None],
+    titles: tuple[str, str],
+) -> Iterator[str]:
+    """Yield the lines of a comment on a code review.
+
+    For a node that is new or gone, the rules of the library take one line for each file that the policy includes.
+
+    Args:
+        differences: the changes of each subject.
+        place: returns a place as the user would type it.
+        library: returns the name of a file in the library; None of any other file.
+        titles: names of the older and of the newer policy.
+    """
+    yield f"### Access control: {_code(titles[0])} → {_code(titles[1])}"
+    yield ""
+    if not differences:
+        yield "**Equivalent**: no subject gains or loses anything."
+        return
+    yield f"{summary(differences)}."
+    for each in differences:
+        yield ""
+        yield f"#### {subject_line(each, _code).rstrip(':')}"
+        own, folded = _folded(each, library)
+        if own:
+            yield ""
+            yield "| | permission | objects | rule |"
+            yield "|---|---|---|---|"
+        for change in own:
+            sign = _verb(change)
+            objects = object_text(change, _code)
+            where = _code(place(change.where)) if change.where else ""
+            yield f"| {sign} | {permission_text(change, _code).rstrip()} | {objects} | {where} |"
+        if folded:
+            yield ""
+        for name, number in folded.items():
+            rules = f"the {number} rules" if number > 1 else "the rule"
+            yield f"… and {rules} of {_code(name)} (library)"
+
+
+def _folded(
+    each: SubjectChanges, library: Callable[[str], str | None]
+) -> tuple[list[PermissionChange], dict[str, int]]:
+    """Return the changes to list, and for each file of the library the number of rules behind the other changes."""
+    if each.before and each.after:
+        return [*each.changes], {}
+    own: list[PermissionChange] = []
+    rules: dict[str, set[Spot]] = {}
+    for change in each.changes:
+        where = change.where
+        if where is None or change.unknown or library(where.file) is None:
+            own.append(change)
+            continue
+        names = [name for place in (where, *where.chain) if (name := library(place.file))]
+        rules.setdefault(names[-1], set()).add(where.spot)
+    return own, {name: len(spots) for name, spots in rules.items()}
+
+
+def _verb(change: PermissionChange) -> str:
+    verb = "gains" if change.gains else "loses"
+    return f"perhaps {verb}" if change.unknown else verb
+
+
+def _code(text: str) -> str:
+    """Return a code span (CommonMark 0.31.2, 6.1) that may stand in a table; no text ends it."""
+    fence = "`" * (max(map(len, re.findall("`+", text)), default=0) + 1)
+    blank = " " * ("`" in (text[:1], text[-1:]))
+    return _PIPE.sub(_escaped_pipe, f"{fence}{blank}{text}{blank}{fence}")
+
+
+_PIPE = lazy_regex(r"(\\*)\|")
+
+
+def _escaped_pipe(match: re.Match[str]) -> str:
+    """Return a pipe after backslashes of which the last escapes it, however many there are."""
+    backslashes = match[1]
+    return backslashes + "\\" * (1 + len(backslashes) % 2) + "|"

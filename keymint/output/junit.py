@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from xml.etree import ElementTree as ET  # only writes
 
 from comarmor.regex import lazy_regex
@@ -13,49 +13,39 @@ _CONTROL = lazy_regex(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 @dataclass(frozen=True, slots=True)
-class JUnitFailure:
-    """Why a test case failed: the type of the failure, one line, and the details."""
-
-    kind: str
-    message: str
-    details: str
-
-
-@dataclass(frozen=True, slots=True)
 class JUnitCase:
-    """A test case; without a failure it passed."""
+    """A test case.
+
+    Attributes:
+        class_name: what it belongs to.
+        name: its name.
+        failure: why it failed: the type of the failure, and one line; None if it passed.
+        details: further lines about the failure.
+    """
 
     class_name: str
     name: str
-    failure: JUnitFailure | None = None
+    failure: tuple[str, str] | None = None
+    details: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class JUnitSuite:
-    """Test cases that belong together."""
+def junit(title: str, suites: Mapping[str, Sequence[JUnitCase]]) -> bytes:
+    """Return the results of a run, e.g. of ``keymint test``, as a document.
 
-    name: str
-    cases: Sequence[JUnitCase]
-
-
-def junit(title: str, suites: Sequence[JUnitSuite]) -> bytes:
-    """Return the results of a run, e.g. of ``keymint test``, as a document."""
+    Args:
+        title: the run.
+        suites: test cases that belong together, by the name of what they are about.
+    """
     root = ET.Element("testsuites", name=title)
-    for suite in suites:
-        element = ET.SubElement(
-            root,
-            "testsuite",
-            name=suite.name,
-            tests=str(len(suite.cases)),
-            failures=str(sum(case.failure is not None for case in suite.cases)),
-            errors="0",
-            skipped="0",
-        )
-        for case in suite.cases:
+    for name, cases in suites.items():
+        failures = sum(case.failure is not None for case in cases)
+        counts = {"name": name, "tests": str(len(cases)), "failures": str(failures), "errors": "0", "skipped": "0"}
+        element = ET.SubElement(root, "testsuite", counts)
+        for case in cases:
             tested = ET.SubElement(element, "testcase", classname=_legal(case.class_name), name=_legal(case.name))
-            if (failed := case.failure) is not None:
-                failure = ET.SubElement(tested, "failure", type=failed.kind, message=_legal(failed.message))
-                failure.text = _legal(failed.details)
+            if case.failure is not None:
+                kind, message = case.failure
+                ET.SubElement(tested, "failure", type=kind, message=_legal(message)).text = _legal(case.details)
     ET.indent(root)
     text: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
     return text + b"\n"

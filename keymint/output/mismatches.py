@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 
 from comarmor.errors import Diagnostic, Severity, cited
 from comarmor.text import counted
 from keymint.api.graph import Edge, EdgeOutcome
 from keymint.ir import Rule
 from keymint.names import name_of
-from keymint.output.junit import JUnitCase, JUnitFailure, JUnitSuite
+from keymint.output.junit import JUnitCase
 from keymint.output.sarif import SarifResult
 from keymint.verify.mismatch import EdgeComparison, Mismatch
 
@@ -153,30 +154,25 @@ def sarif_results(comparisons: Sequence[EdgeComparison]) -> list[SarifResult]:
     ]
 
 
-def junit_suites(comparisons: Iterable[tuple[EdgeComparison, Sequence[str]]]) -> list[JUnitSuite]:
+def junit_suites(comparisons: Iterable[tuple[EdgeComparison, Sequence[str]]]) -> dict[str, list[JUnitCase]]:
     """Return a test suite for each transport, with a test case for each subject that lists its mismatches.
 
     Args:
         comparisons: the comparison of each transport, with the subjects that it was asked about.
     """
-    return [
-        JUnitSuite(
-            f"{comparison.transport} ({comparison.tier})",
-            [
-                JUnitCase(f"keymint.{comparison.transport}", subject, _failure(comparison, subject))
-                for subject in subjects
-            ],
-        )
+    return {
+        f"{comparison.transport} ({comparison.tier})": [_case(comparison, subject) for subject in subjects]
         for comparison, subjects in comparisons
-    ]
+    }
 
 
-def _failure(comparison: EdgeComparison, subject: str) -> JUnitFailure | None:
+def _case(comparison: EdgeComparison, subject: str) -> JUnitCase:
+    case = JUnitCase(f"keymint.{comparison.transport}", subject)
     count = comparison.wrong.get(subject, 0)
     if not count:
-        return None
+        return case
     lines = [
         mismatch_text([comparison.transport], each) for each in comparison.findings if each.edge.subject == subject
     ]
-    message = f"{counted(count, 'mismatch')} between policy and transport"
-    return JUnitFailure("verify", message, "\n".join(lines) or "not listed: there are too many mismatches")
+    failure = "verify", f"{counted(count, 'mismatch')} between policy and transport"
+    return replace(case, failure=failure, details="\n".join(lines) or "not listed: there are too many mismatches")

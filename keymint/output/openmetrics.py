@@ -3,10 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
 
 from comarmor.values import dataclass
+from keymint.life.renewal_schedule import CERTIFICATE, LIST, PERMISSIONS, authority_ends, authority_renewals
+from keymint.names import subject_of
+from keymint.stages.package_status import StatusRow
+from keymint.workspace.session import Session
 
 _ESCAPED = str.maketrans({"\\": "\\\\", '"': '\\"', "\n": "\\n"})
 
@@ -16,32 +20,77 @@ class Gauge:
     """A gauge with its values.
 
     Attributes:
-        name: its name, which ends with its unit if it has one.
+        name: its name; ``_seconds`` at its end is its unit.
         help: what it says, one sentence.
-        samples: its values, each with labels by name, which differ.
-        unit: the unit, e.g. ``seconds``; or empty.
+        label: name of the label of its values.
+        values: its values by the text of that label.
     """
 
     name: str
     help: str
-    samples: tuple[tuple[Mapping[str, str], float], ...]
-    unit: str = ""
+    label: str
+    values: Mapping[str, float]
 
 
-def moments(name: str, help_: str, by_label: Iterable[tuple[Mapping[str, str], datetime | None]]) -> Gauge:
-    """Return a gauge of moments, in seconds since 1970; what has no moment has no sample."""
-    samples = tuple((labels, moment.timestamp()) for labels, moment in by_label if moment is not None)
-    return Gauge(f"{name}_timestamp_seconds", help_, samples, "seconds")
+def moments(name: str, help_: str, label: str, ends: Mapping[str, datetime | None]) -> Gauge:
+    """Return a gauge of moments, in seconds since 1970; what has no moment has no value."""
+    values = {text: moment.timestamp() for text, moment in ends.items() if moment is not None}
+    return Gauge(f"{name}_timestamp_seconds", help_, label, values)
 
 
 def openmetrics(gauges: Iterable[Gauge]) -> Iterator[str]:
     """Yield the lines of the text, without line ends."""
     for gauge in gauges:
         yield f"# TYPE {gauge.name} gauge"
-        if gauge.unit:
-            yield f"# UNIT {gauge.name} {gauge.unit}"
+        if gauge.name.endswith("_seconds"):
+            yield f"# UNIT {gauge.name} seconds"
         yield f"# HELP {gauge.name} {gauge.help.translate(_ESCAPED)}"
-        for by_name, value in gauge.samples:
-            labels = ",".join(f'{name}="{text.translate(_ESCAPED)}"' for name, text in by_name.items())
-            yield f"{gauge.name}{{{labels}}} {value:.15g}" if labels else f"{gauge.name} {value:.15g}"
+        for text, value in gauge.values.items():
+            yield f'{gauge.name}{{{gauge.label}="{text.translate(_ESCAPED)}"}} {value:.15g}'
     yield "# EOF"
+
+
+def gauges(session: Session, rows: Sequence[StatusRow]) -> tuple[Gauge, ...]:
+    """Return the gauges of the installed enclaves and of the authorities.
+
+    Args:
+        session: the workspace and its profile.
+        rows: the status of its packages.
+    """
+    terms = [term for row in rows for term in row.terms]
+    lists = {term.issuer: term.last for term in terms if term.what == LIST}
+
+    def of_enclaves(what: str) -> dict[str, datetime | None]:
+        return {subject_of(row.package): term.last for row in rows for term in row.terms if term.what == what}
+
+    stale = {f"/{row.package}": float(bool(row.stale)) for row in rows if row.terms}
+    return (
+        moments(
+            "keymint_certificate_expiry", "End of the certificate of an enclave.", "subject", of_enclaves(CERTIFICATE)
+        ),
+        moments(
+            "keymint_permissions_expiry", "End of the permissions of an enclave.", "subject", of_enclaves(PERMISSIONS)
+        ),
+        moments(
+            "keymint_renew_after",
+            "From when on 'keymint renew' renews an enclave; none while its authority must be renewed first.",
+            "subject",
+            {f"/{row.package}": row.renew_after for row in rows},
+        ),
+        Gauge("keymint_enclave_stale", "1 if an enclave differs from its sources or the policy.", "subject", stale),
+        moments(
+            "keymint_revocation_list_expiry",
+            "End of a revocation list; no process starts with an expired one.",
+            "authority",
+            lists,
+        ),
+        moments(
+            "keymint_authority_expiry", "End of the certificate of an authority.", "authority", authority_ends(session)
+        ),
+        moments(
+            "keymint_authority_renew_after",
+            "From when on an authority cuts what it signs, so that a person must renew it.",
+            "authority",
+            authority_renewals(session, terms),
+        ),
+    )

@@ -61,21 +61,24 @@ class Present:
 class Keystore:
     """The keystore of a robot, read once.
 
-    Args:
+    Attributes:
         root: its absolute path; need not exist.
         shown: the path as the user would type it.
-        tree: its files.
     """
 
-    def __init__(self, root: Path, shown: str, tree: Tree) -> None:
-        self._root = root
-        self._shown = shown
-        self._tree = tree
+    def __init__(self, root: Path, shown: str) -> None:
+        self.root = root
+        self.shown = shown
+        self._tree = Tree()
+
+    def read_again(self) -> Keystore:
+        """Return the keystore as it is now."""
+        return Keystore(self.root, self.shown)
 
     @property
     def records(self) -> Path:
         """The folder of Keymint's own records."""
-        return self._root / RECORDS
+        return self.root / RECORDS
 
     def folder(self, enclaves: str, name: str) -> Path:
         """Return the folder of an enclave.
@@ -84,7 +87,7 @@ class Keystore:
             enclaves: the folder of all enclaves below the keystore; empty for the keystore itself.
             name: name of the enclave's package.
         """
-        return self._root / enclaves if name == ROOT else self._root / enclaves / name
+        return self.root / enclaves if name == ROOT else self.root / enclaves / name
 
     def present(self, enclaves: str, name: str) -> Present:
         """Return what the keystore has; arguments as for :meth:`folder`.
@@ -93,7 +96,7 @@ class Keystore:
             KeymintError: a file cannot be read, or is a link.
         """
         folder = self.folder(enclaves, name)
-        shown = f"{self._shown}/{folder.relative_to(self._root)}"
+        shown = f"{self.shown}/{folder.relative_to(self.root)}"
         return Present(shown, self._files(folder), self.pending(name), *self._known())
 
     def installed(self, name: str) -> Mapping[str, bytes]:
@@ -113,7 +116,7 @@ class Keystore:
         """
         known: dict[str, set[str]] = {}
         issuing: set[str] = set()
-        for folder in self._folders(str(self._root)):
+        for folder in self._folders(str(self.root)):
             files = {name: self._tree.try_read(f"{folder}/{name}") or b"" for name, _ in self._tree.names(folder)}
             chains: dict[str, tuple[x509.Certificate, ...]] = {}
             for file, content in files.items():
@@ -151,7 +154,7 @@ class Keystore:
         content = self.request(name)
         if content is None:
             return None
-        where = Origin(f"{self._shown}/{RECORDS}/requests/{name}/{_REQUEST}")
+        where = Origin(f"{self.shown}/{RECORDS}/requests/{name}/{_REQUEST}")
         key = self._tree.read(self._waiting(name) / KEY)
         return Pending(requests.read(content, where), key or b"")
 

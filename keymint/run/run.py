@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import field, replace
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from comarmor.errors import Diagnostic, Origin, Severity, cited
 from comarmor.text import did_you_mean
@@ -70,6 +70,9 @@ class Setting:
     call: Call
     ask: Callable[[str], str] | None = None
     read: Callable[[int], bytes] = lambda _most: b""
+
+
+_T = TypeVar("_T")
 
 
 def _writes_below(roots: Collection[str], plan: Plan) -> bool:
@@ -295,6 +298,22 @@ class Run:
     ) -> Report:
         """Carry out a plan for the workspace and its profile; see :meth:`carry_out`."""
         return self.carry_out(self.workspace(), lambda inputs: make_plan(inputs.session()), exit_code)
+
+    def made(
+        self,
+        make: Callable[[Session], tuple[Plan, _T]],
+        exit_code: Callable[[Plan, _T], ExitCode] = lambda plan, _made: exit_code_of(plan),
+    ) -> tuple[Report, _T]:
+        """Carry out a plan, see :meth:`change`, and return what was made beside the plan that was carried out."""
+        latest: list[_T] = []
+
+        def make_plan(session: Session) -> Plan:
+            plan, made = make(session)
+            latest[:] = [made]
+            return plan
+
+        report = self.change(make_plan, lambda plan: exit_code(plan, latest[0]))
+        return report, latest[0]
 
     def carry_out(
         self,

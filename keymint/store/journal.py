@@ -18,7 +18,7 @@ from typing import Any
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
 from keymint.errors import KeymintError
-from keymint.names import subject_list
+from keymint.names import subject_list, subject_of
 from keymint.store.file_writing import check_component, is_temporary
 from keymint.store.group_commit import commit, waiting_name
 from keymint.store.open_folders import OpenFolders, Roots
@@ -67,7 +67,7 @@ class Journal:
         """
         if self.finished:
             message = f"'{self.command}' was interrupted; all that it was asked for is done now"
-            message += f": {subject_list(self.packages)}" if self.packages else ""
+            message += f": {subject_list([*map(subject_of, self.packages)])}" if self.packages else ""
             help_ = "deploy what it changed in the install space"
         elif self.command and self.inputs != intent.inputs:
             message = f"'{self.command}' was interrupted before anything changed, and is dropped"

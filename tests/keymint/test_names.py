@@ -135,6 +135,7 @@ def test_other_names_are_not_reserved() -> None:
 
 def test_of_many_packages_a_line_lists_the_first() -> None:
     assert subject_list(()) == ""
-    assert subject_list(["robot/arm", "talker"]) == "/robot/arm, /talker"
-    assert subject_list(list("abcdefgh")) == "/a, /b, /c, /d, /e, /f, /g, /h"
-    assert subject_list(list("abcdefghij")) == "/a, /b, /c, /d, /e, /f, /g, /h and 2 more"
+    assert subject_list(["/robot/arm", "/talker"]) == "/robot/arm, /talker"
+    names = [f"/{letter}" for letter in "abcdefghij"]
+    assert subject_list(names[:8]) == "/a, /b, /c, /d, /e, /f, /g, /h"
+    assert subject_list(names) == "/a, /b, /c, /d, /e, /f, /g, /h and 2 more"

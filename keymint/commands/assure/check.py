@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
@@ -11,23 +11,21 @@ from pathlib import Path
 import click
 
 from comarmor.errors import Diagnostic, Severity
-from comarmor.text import counted
+from comarmor.text import counted, did_you_mean
 from keymint.command_line.durations import period
 from keymint.command_line.named_files import write_outputs
-from keymint.command_line.options import FILE, packages_argument, standard_only_option, strict_option
-from keymint.command_line.vendor_versions import advisories, vendors_option
-from keymint.command_line.verb import verb
-from keymint.errors import KeymintError
+from keymint.command_line.options import packages_argument, standard_only_option, strict_option
+from keymint.command_line.verb import FILE, Report, Run, findings_if, flag, option, verb
+from keymint.errors import KeymintError, usage_error
 from keymint.examine.check import check as find
 from keymint.examine.keystore import SHOWN_NOTES, not_examined, proven_keystore
 from keymint.examine.nodes import NODE_NOTES, of_packages
 from keymint.executors import Pool
 from keymint.life.workspace_register import RIGHTS_OUTLIVE, with_enclaves
 from keymint.names import subject_of
-from keymint.output.report import Report, findings_if, merged_diagnostics
+from keymint.output.report import merged_diagnostics
 from keymint.output.sarif import of_diagnostics
 from keymint.output.sarif import sarif as sarif_log
-from keymint.run.run import Run
 from keymint.stages.create import subjects_without_package
 from keymint.stages.proof.proof_results import ProofEffort, proof_findings
 from keymint.stages.proof.prove import NO_PROVER, STAGE
@@ -35,37 +33,35 @@ from keymint.view.stamps import State
 from keymint.workspace.policy_loading import lazy_policy
 from keymint.workspace.session import Session
 
+INSTALLED = "installed"
+
+vendors_option = option(
+    is_flag=False,
+    flag_value=INSTALLED,
+    metavar="NAME=VERSION,...",
+    help="Name known vulnerabilities of access control in these versions of vendors [without a list: those that are "
+    "installed here].",
+)
+
 
 @verb()
 @click.option("-j", "--jobs", type=click.IntRange(1, 256), metavar="N", help="Use N processes [all cores].")
-@packages_argument
-@click.option(
-    "--within",
-    callback=period,
-    default="0d",
-    metavar="PERIOD",
-    help="Also report certificates and grants that expire within this time: 12h, 30d, 4w.",
-)
-@click.option(
-    "--no-prove", is_flag=True, help="Leave out the proof that installed documents permit what the policy says."
-)
-@click.option("--fresh", is_flag=True, help="Prove again what was proven before.")
-@standard_only_option
-@strict_option
-@click.option("--sarif", type=FILE, metavar="FILE", help="Write the findings as SARIF 2.1.0.")
-@vendors_option
-@click.option("--without-private", is_flag=True, help="Exit with 0 although you may not read all of private/.")
 def check(
     run: Run,
-    names: tuple[str, ...],
-    within: timedelta,
-    no_prove: bool,
-    fresh: bool,
-    allow_vendor_specific: bool,
-    strict: bool,
-    sarif: Path | None,
-    vendors: str | None,
-    without_private: bool,
+    names: tuple[str, ...] = packages_argument,
+    within: timedelta = option(
+        type=period,
+        default="0d",
+        metavar="PERIOD",
+        help="Also report certificates and grants that expire within this time: 12h, 30d, 4w.",
+    ),
+    no_prove: bool = flag("Leave out the proof that installed documents permit what the policy says."),
+    fresh: bool = flag("Prove again what was proven before."),
+    allow_vendor_specific: bool = standard_only_option,
+    strict: bool = strict_option,
+    sarif: Path | None = option(type=FILE, metavar="FILE", help="Write the findings as SARIF 2.1.0."),
+    vendors: str | None = vendors_option,
+    without_private: bool = flag("Exit with 0 although you may not read all of private/."),
 ) -> Report:
     """Compare the installed keystore with its expected state, and prove it.
 
@@ -138,3 +134,34 @@ def _of_policy(
         return (*(subjects_without_package(session, policy, names) if complete else ()), *notes), state
     except KeymintError as error:
         return error.diagnostics if complete else (), state
+
+
+def advisories(run: Run, given: str | None) -> Iterator[Diagnostic]:
+    """Yield the findings on versions of vendors; none without the option.
+
+    Raises:
+        KeymintError: the list is malformed, or names an unknown vendor; a usage error.
+    """
+    if given is None:
+        return
+    plugins = [run.plugins.build_type(name) for name in run.plugins.names("keymint.build_types")]
+    by_vendor = {name: each for each in plugins for name in each.VENDORS}
+    if given != INSTALLED:
+        for name, version in _listed(given, by_vendor):
+            yield from by_vendor[name].advisories(name, version)
+        return
+    for plugin in dict.fromkeys(by_vendor.values()):
+        for name, versions in plugin.installed_vendors(run.setting.environment).items():
+            for version in versions:
+                yield from plugin.advisories(name, version)
+
+
+def _listed(given: str, known: Mapping[str, object]) -> Iterator[tuple[str, str]]:
+    for part in given.split(","):
+        name, is_pair, version = (each.strip() for each in part.partition("="))
+        if not is_pair:
+            raise usage_error(f"--vendors {given}: {part!r} is not NAME=VERSION", f"known names are {', '.join(known)}")
+        if name not in known:
+            names = did_you_mean(name, known, f"known are {', '.join(known)}")
+            raise usage_error(f"--vendors {given}: unknown vendor {name!r}", names)
+        yield name, version

@@ -13,21 +13,13 @@ import click
 from comarmor.errors import Diagnostic
 from comarmor.text import counted
 from keymint.api import Claim, Counterexample, Proof
-from keymint.command_line.options import (
-    Number,
-    complete_package,
-    standard_only_option,
-    strict_option,
-    vendors_of_option,
-)
-from keymint.command_line.verb import verb
+from keymint.command_line.options import complete_package, standard_only_option, strict_option, vendors_of_option
+from keymint.command_line.verb import Number, Report, Run, argument, findings_exit, findings_if, option, verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.examine import keystore
 from keymint.life import terms
 from keymint.life.workspace_register import has_register, with_enclaves
 from keymint.output.json import line_json
-from keymint.output.report import Report, findings_exit, findings_if
-from keymint.run.run import Run
 from keymint.stages.create import subjects_without_package
 from keymint.stages.proof.proof_results import STATES, EnclaveProof, ProofEffort, ProofResults, proof_findings
 from keymint.stages.proof.prove import NO_PROVER, STAGE
@@ -43,31 +35,20 @@ SHOWN = 5
 
 
 @verb(dry_run=True, executor=True)
-@click.argument("names", nargs=-1, metavar="[ENCLAVE]...", shell_complete=complete_package)
-@click.option(
-    "--seconds",
-    type=Number(0),
-    default=math.inf,
-    help="Also stop after this time per enclave; undecided claims are unknown [no limit].",
-)
-@click.option(
-    "--states",
-    type=click.IntRange(1),
-    default=STATES,
-    show_default=True,
-    help="Stop after this many states per question.",
-)
-@standard_only_option
-@strict_option
-@vendors_of_option
 def prove(
     run: Run,
-    names: tuple[str, ...],
-    seconds: float,
-    states: int,
-    allow_vendor_specific: bool,
-    strict: bool,
-    distro: str | None,
+    names: tuple[str, ...] = argument(nargs=-1, metavar="[ENCLAVE]...", shell_complete=complete_package),
+    seconds: float = option(
+        type=Number(0),
+        default=math.inf,
+        help="Also stop after this time per enclave; undecided claims are unknown [no limit].",
+    ),
+    states: int = option(
+        type=click.IntRange(1), default=STATES, show_default=True, help="Stop after this many states per question."
+    ),
+    allow_vendor_specific: bool = standard_only_option,
+    strict: bool = strict_option,
+    distro: str | None = vendors_of_option,
 ) -> Report:
     """Prove that installed documents permit exactly what the policy allows, for all names.
 

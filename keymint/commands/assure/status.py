@@ -13,16 +13,14 @@ import click
 from comarmor.errors import Diagnostic
 from keymint.api import LoadedPolicy
 from keymint.command_line.options import strict_option
-from keymint.command_line.verb import verb
+from keymint.command_line.verb import Report, Run, findings_if, option, verb
 from keymint.errors import KeymintError
 from keymint.examine.authorities import elsewhere, exposed_keys
 from keymint.examine.keystore import not_examined
 from keymint.examine.rights import has_earlier, presented_rights
 from keymint.life.terms import days_left
-from keymint.output.expiry_metrics import gauges
-from keymint.output.openmetrics import openmetrics
-from keymint.output.report import Report, findings_if, members
-from keymint.run.run import Run
+from keymint.output.openmetrics import gauges, openmetrics
+from keymint.output.report import members
 from keymint.stages.create import packages_to_create
 from keymint.stages.package_status import StatusRow, package_rows, shared_rows
 from keymint.stages.proof.proof_results import ProofEffort
@@ -31,16 +29,17 @@ from keymint.workspace.session import Session
 
 
 @verb()
-@click.option(
-    "--format",
-    "kind",
-    type=click.Choice(("table", "openmetrics")),
-    default="table",
-    show_default=True,
-    help="openmetrics: dates in seconds since 1970, for a monitor such as Prometheus.",
-)
-@strict_option
-def status(run: Run, kind: str, strict: bool) -> Report:
+def status(
+    run: Run,
+    kind: str = option(
+        "--format",
+        type=click.Choice(("table", "openmetrics")),
+        default="table",
+        show_default=True,
+        help="openmetrics: dates in seconds since 1970, for a monitor such as Prometheus.",
+    ),
+    strict: bool = strict_option,
+) -> Report:
     """Show a table of all packages: the stage, whether it is stale, when it expires, and when to renew it.
 
     RENEW AFTER is from when on 'keymint renew' takes it up; 'with CA' means that it ends with this authority, which
@@ -92,12 +91,13 @@ def _outliving(run: Run, session: Session, policy: LoadedPolicy) -> tuple[Diagno
 
 def _show(run: Run, rows: Sequence[StatusRow], missing: Sequence[str], shared: Sequence[StatusRow]) -> None:
     """Show a table, and the problems."""
-    now, cells = run.setting.now, []
+    now, columns = run.setting.now, ("PACKAGE", "STAGE", "STALE", "CERTIFICATE", "PERMISSIONS", "RENEW AFTER")
+    cells = []
     for row in (*rows, *(StatusRow(name, "-", "create") for name in missing), *shared):
         title = row.package or ", ".join(row.documents) or row.build_type or "shared documents"
         ends = (_when(row.certificate_expires, now), _when(row.permissions_expire, now), _renewal(row, now))
-        cells.append([title, row.stage, row.stale or "-", *ends])
-    run.console.table(["PACKAGE", "STAGE", "STALE", "CERTIFICATE", "PERMISSIONS", "RENEW AFTER"], cells)
+        cells.append(dict(zip(columns, (title, row.stage, row.stale, *ends), strict=True)))
+    run.console.table(dict(zip(columns, columns, strict=True)), cells)
     problems = [(row.package or row.build_type or "shared documents", row.problem) for row in (*rows, *shared)]
     run.console.lines(f"{whose}: {problem}" for whose, problem in problems if problem)
     if not cells:

@@ -4,34 +4,34 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import astuple
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import click
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.regex import lazy_regex
 from comarmor.text import counted
 from keymint.api import Tier, Transport
-from keymint.api.graph import Graph
+from keymint.api.graph import MISMATCHES, Edge, Graph
 from keymint.api.graph_json import load
-from keymint.command_line.named_files import read_input, write_outputs
+from keymint.command_line.named_files import read_input, source_files, write_outputs
 from keymint.command_line.named_policies import workspace_library_rules
-from keymint.command_line.options import FILE, PATH, packages_argument, transport_option, vendors_of_option
-from keymint.command_line.verb import verb
-from keymint.command_line.verify_report import labelled_edges, write_report
+from keymint.command_line.options import packages_argument, transport_option, vendors_of_option
+from keymint.command_line.verb import FILE, PATH, Report, Run, findings_if, flag, option, verb
+from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph, policy_label, select_edges
+from keymint.drawing.simplify import DrawingOptions
 from keymint.life.workspace_register import with_enclaves
 from keymint.output.json import comparisons_json
 from keymint.output.junit import junit as junit_document
 from keymint.output.mismatches import SARIF_RULES, diagnostics, enumeration, junit_suites, sarif_results
-from keymint.output.report import Report, findings_if
 from keymint.output.sarif import sarif as sarif_log
-from keymint.run.run import Run
 from keymint.stages.proof.trust_anchors import differences
 from keymint.store.changes import Action, Step
 from keymint.verify.compare import Asking
 from keymint.verify.copies import enclave_copies
-from keymint.verify.mismatch import EdgeComparison, Tally
+from keymint.verify.mismatch import Mismatch, Tally
 from keymint.verify.scope import (
     VerificationScope,
     installed_scopes,
@@ -42,55 +42,48 @@ from keymint.verify.transports import choose
 from keymint.verify.verification import Verification, verified_in_parts
 from keymint.workspace.policy_loading import load_policy
 
+_PAGE = "index.html"
+MOST_TRUE = 10_000
+"""Edges without a mismatch to draw, of allowed edges and again of edges that no rule allows; counts include all.
+
+Edges that a rule denies are all drawn."""
+
+_UNSAFE = lazy_regex(r"[^A-Za-z0-9._-]+")
+
 
 @verb(executor=True)
-@packages_argument
-@click.option(
-    "-g",
-    "--graph",
-    type=PATH,
-    metavar="FILE",
-    help="Ask for every subject, permission and object of this graph (docs/graph.md) [the objects of the policy, and "
-    "names that probe its patterns].",
-)
-@transport_option
-@vendors_of_option
-@click.option(
-    "--tier",
-    type=click.Choice([str(tier) for tier in Tier]),
-    default=str(Tier.DECISION),
-    show_default=True,
-    help="What to test: access-control code, endpoint creation, or data exchange.",
-)
-@click.option(
-    "--ros",
-    is_flag=True,
-    help="Ask the ROS 2 that is sourced: a stand-in node for each enclave tries each right and each near miss, in a "
-    "network of its own that has nothing but loopback.",
-)
-@click.option(
-    "--limit", type=click.IntRange(0), default=1000, show_default=True, help="Mismatches to list per transport."
-)
-@click.option("--sarif", type=FILE, metavar="FILE", help="Write the mismatches as SARIF 2.1.0.")
-@click.option("--junit", type=FILE, metavar="FILE", help="Write the results as JUnit XML.")
-@click.option(
-    "--report",
-    type=click.Path(path_type=Path, file_okay=False),
-    metavar="DIR",
-    help="Write an offline web page, and pictures of the labelled graph.",
-)
 def verify(
     run: Run,
-    names: tuple[str, ...],
-    graph: Path | None,
-    chosen: tuple[str, ...],
-    distro: str | None,
-    tier: str,
-    ros: bool,
-    limit: int,
-    sarif: Path | None,
-    junit: Path | None,
-    report: Path | None,
+    names: tuple[str, ...] = packages_argument,
+    graph: Path | None = option(
+        "-g",
+        type=PATH,
+        metavar="FILE",
+        help="Ask for every subject, permission and object of this graph (docs/graph.md) [the objects of the policy, "
+        "and names that probe its patterns].",
+    ),
+    chosen: tuple[str, ...] = transport_option,
+    distro: str | None = vendors_of_option,
+    tier: str = option(
+        type=click.Choice([str(tier) for tier in Tier]),
+        default=str(Tier.DECISION),
+        show_default=True,
+        help="What to test: access-control code, endpoint creation, or data exchange.",
+    ),
+    ros: bool = flag(
+        "Ask the ROS 2 that is sourced: a stand-in node for each enclave tries each right and each near miss, in a "
+        "network of its own that has nothing but loopback."
+    ),
+    limit: int = option(
+        type=click.IntRange(0), default=1000, show_default=True, help="Mismatches to list per transport."
+    ),
+    sarif: Path | None = option(type=FILE, metavar="FILE", help="Write the mismatches as SARIF 2.1.0."),
+    junit: Path | None = option(type=FILE, metavar="FILE", help="Write the results as JUnit XML."),
+    report: Path | None = option(
+        type=click.Path(path_type=Path, file_okay=False),
+        metavar="DIR",
+        help="Write an offline web page, and pictures of the labelled graph.",
+    ),
 ) -> Report:
     """Compare the decisions of transports on installed enclaves with the policy, edge by edge.
 
@@ -134,12 +127,10 @@ def verify(
         subjects = tuple(sorted({subject for each in verified for subject in each.subjects}))
         outcomes = [outcome for each in verified for outcome in each.comparisons]
         edges = sum(len(each.labels) for each in verified)
-        _show(run, outcomes, len(subjects), edges)
         if tally is not None:
             tally.texts = Counter({copies.back(text): count for text, count in tally.texts.items()})
-            rows = [[each, *map(str, row)] for each, row in sorted(tally.rows.items())]
-            run.console.table(["OPERATION", "ASKED", "AGREED", "DENIED"], rows)
-            run.console.table(["TIMES", "ROS SAID"], [[str(each), text] for text, each in tally.texts.most_common()])
+        result = comparisons_json(outcomes, subjects, edges, run.typed) | ({} if tally is None else tally.json())
+        _show(run, result)
         _write(run, verified, sarif, junit)
         if report is not None:
             for each in verified:
@@ -149,7 +140,7 @@ def verify(
                 run.console.lines(f"{file} written" for file in write_report(run, folder, labelled))
     wrong = any(outcome.confusion.errors for outcome in outcomes)
     return run.report(
-        comparisons_json(outcomes, subjects, edges, run.typed) | ({} if tally is None else tally.json()),
+        result,
         (*foreign, *_unasked(there.scopes, groups, system, Tier(tier), chosen), *diagnostics(outcomes)),
         findings_if(wrong or foreign),
         workspace=session.workspace,
@@ -181,16 +172,21 @@ def _unasked(
             yield Diagnostic.note("edges-unasked", f"{message}: {reason}")
 
 
-def _show(run: Run, outcomes: Sequence[EdgeComparison], subjects: int, edges: int) -> None:
-    """Show the confusion table."""
-    columns = ["TRANSPORT", "VERSION", "TRUE POSITIVE", "FALSE NEGATIVE", "FALSE POSITIVE", "TRUE NEGATIVE"]
-    rows = [[outcome.transport, outcome.version or "-", *map(str, astuple(outcome.confusion))] for outcome in outcomes]
-    run.console.table(columns, rows)
-    wrong = sum(outcome.confusion.errors for outcome in outcomes)
+def _show(run: Run, result: Mapping[str, Any]) -> None:
+    """Show the confusion table, and what ROS was asked."""
+    outcomes = [each | each["confusion"] for each in result["transports"]]
+    cells = ("true_positive", "false_negative", "false_positive", "true_negative")
+    columns = {each.replace("_", " ").upper(): each for each in cells}
+    run.console.table({"TRANSPORT": "name", "VERSION": "version"} | columns, outcomes)
+    wrong = sum(each["false_positive"] + each["false_negative"] for each in outcomes)
     run.console.line(
-        f"verified {counted(subjects, 'enclave')}, {counted(edges, 'edge')} on "
+        f"verified {counted(len(result['subjects']), 'enclave')}, {counted(result['edges'], 'edge')} on "
         f"{counted(len(outcomes), 'transport')}: {counted(wrong, 'mismatch')} between policy and transports"
     )
+    if "operations" in result:
+        columns = {"OPERATION": "permission", "ASKED": "asked", "AGREED": "agreed", "DENIED": "denied"}
+        run.console.table(columns, result["operations"])
+        run.console.table({"TIMES": "count", "ROS SAID": "text"}, result["denials"])
 
 
 def _write(run: Run, verified: Sequence[Verification], sarif: Path | None, junit: Path | None) -> None:
@@ -202,3 +198,86 @@ def _write(run: Run, verified: Sequence[Verification], sarif: Path | None, junit
         write_outputs(run, sarif, log)
     if junit is not None:
         write_outputs(run, junit, junit_document("keymint verify", junit_suites(outcomes)))
+
+
+def labelled_edges(
+    title: str,
+    verified: Verification,
+    typed: Callable[[str], str],
+    common: Callable[[Origin], bool] = lambda _: False,
+) -> LabelledGraph:
+    """Return the graph with the labels of policy and transports.
+
+    An edge without a mismatch has the label of the policy. After the last mismatch that was kept, labels of a transport
+    with omitted mismatches are unknown.
+
+    Args:
+        title: one line.
+        verified: the comparison of each transport of a build type, with all edges in the order of the mismatches.
+        typed: returns a path as the user would type it.
+        common: returns whether the rule at a place is one that every node includes.
+    """
+    outcomes, decide = verified.comparisons, verified.decide  # decide only edges that are drawn
+    findings = [{finding.edge: finding for finding in outcome.findings} for outcome in outcomes]
+    last = [outcome.findings[-1].edge if outcome.omitted and outcome.findings else None for outcome in outcomes]
+    known = [not outcome.omitted or bool(outcome.findings) for outcome in outcomes]
+
+    def labels() -> Iterator[LabelledEdge]:
+        room = {True: MOST_TRUE, False: MOST_TRUE}
+        for edge, may in _with_endpoints(zip(verified.edges(), verified.labels, strict=True), findings):
+            mismatches = [each.get(edge) for each in findings]
+            decision = decide(edge) if any(mismatches) or room[bool(may)] or not may else None
+            express = decision is not None and not decision.allowed and decision.where is not None
+            if decision is not None and (any(mismatches) or express or room[bool(may)]):
+                room[bool(may)] -= not any(mismatches) and not express
+                policy = policy_label(decision, typed)
+                transport_labels = tuple(
+                    _of_finding(mismatch, typed) if mismatch else Label(policy.allowed) if known[at] else None
+                    for at, mismatch in enumerate(mismatches)
+                )
+                shared = decision.allowed and decision.where is not None and common(decision.where)
+                yield LabelledEdge(edge, policy, transport_labels, decision.audit, shared)
+            for at, end in enumerate(last):
+                known[at] = known[at] and edge != end
+
+    confusions = [outcome.confusion for outcome in outcomes]
+    names = [outcome.transport for outcome in outcomes]
+    return LabelledGraph.of(title, labels(), transports=names, confusions=confusions)
+
+
+def _with_endpoints(
+    edges: Iterable[tuple[Edge, int]], findings: Sequence[Mapping[Edge, Mismatch]]
+) -> Iterator[tuple[Edge, int]]:
+    """Yield edges with their labels, then mismatches on endpoints, which are not edges of the graph."""
+    left = dict.fromkeys(edge for each in findings for edge in each)
+    for edge, may in edges:
+        left.pop(edge, None)
+        yield edge, may
+    yield from ((edge, 0) for edge in left)
+
+
+def _of_finding(finding: Mismatch, typed: Callable[[str], str]) -> Label:
+    verdict = finding.verdict
+    reason = "; ".join(filter(None, (finding.reason, verdict.deviation)))
+    return Label(verdict.allowed, reason, finding.document.with_files(typed))
+
+
+def write_report(run: Run, folder: Path, labelled: LabelledGraph) -> list[str]:
+    """Write the page and the pictures of a labelled graph into a directory.
+
+    Returns:
+        The written files, as the user would type them.
+
+    Raises:
+        KeymintError: a file cannot be replaced.
+    """
+    # Templates are slow to import.
+    from keymint.drawing.html_report import html_report  # noqa: PLC0415
+    from keymint.drawing.svg import svg  # noqa: PLC0415
+
+    pictures = {"graph.svg": svg(labelled)}
+    for at, name in enumerate(labelled.transports):
+        pictures[f"graph-{_UNSAFE.sub('_', name)}.svg"] = svg(labelled, DrawingOptions(transport=at))
+    # Written even without mismatches, to replace the picture of an earlier run.
+    pictures["differences.svg"] = svg(select_edges(labelled, only=MISMATCHES))
+    return write_outputs(run, folder / _PAGE, html_report(labelled, source_files(run, labelled)), pictures)

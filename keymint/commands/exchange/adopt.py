@@ -1,69 +1,65 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``keymint adopt``: a keystore that another tool made becomes a workspace."""
+"""``keymint adopt``: a keystore that another tool made becomes a workspace, and what is said about it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-
-import click
+from typing import Any
 
 from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.text import counted
 from keymint.adoption.adopted_workspace import Adoption, plan_adoption
 from keymint.adoption.keystore_files import found_in
-from keymint.adoption.keystore_policy import AdoptedPolicy, Compared, document_comparisons
-from keymint.api import Bootstrap, FoundKeystore, KeystoreFiles, KeystoreReader
-from keymint.command_line.options import (
-    DEFAULT_DISTRO,
-    DEFAULT_PROFILE_TYPE,
-    PATH,
-    PluginOption,
-    PolicyOptions,
-    distro_option,
+from keymint.adoption.keystore_policy import AdoptedPolicy, Compared, Learning, document_comparisons, learned_from
+from keymint.api import (
+    Bootstrap,
+    FoundAuthority,
+    FoundEnclave,
+    FoundKeystore,
+    ImportRequest,
+    KeystoreFiles,
+    KeystoreReader,
 )
-from keymint.command_line.verb import verb
-from keymint.commands.exchange.adopted_policy import STATES, learned_policy, named_policy
+from keymint.command_line.named_policies import Policies
+from keymint.command_line.options import DEFAULT_DISTRO, DEFAULT_PROFILE_TYPE, PolicyOptions, distro_option
+from keymint.command_line.verb import PATH, Report, Run, argument, findings_exit, flag, option, plugin, verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.examine.nodes import NODE_NOTES, node_notes, of_documents
-from keymint.output.keystores import as_json, summary
-from keymint.output.report import Report, findings_exit
-from keymint.run.run import Run
 from keymint.stages.proof.proof_results import ProofEffort
+from keymint.stages.workspace_start import policy_path
 from keymint.store.changes import Plan
+from keymint.workspace.policy_loading import foreign_policy
 from keymint.workspace.session import Inputs
 from keymint.workspace.workspace import Workspace
 
 _OLD = "eloquent"
 """The distribution of a keystore in the layout before Foxy, if none is named."""
+_STATES = 50_000
+"""States that one search may visit."""
+_FOLDER = "comarmor.d"
+"""Folder of a new profile that has the policy."""
 
 
 @verb(dry_run=True)
-@click.argument("keystore", type=PATH)
-@click.argument("policy", type=PATH, required=False)
-@click.option("--apply", "applied", is_flag=True, help="Write the workspace; without it nothing is written.")
-@click.option("--accept", is_flag=True, help="Take POLICY as it reads where the other tool enforces something else.")
-@click.option(
-    "--implicit/--no-implicit",
-    default=True,
-    show_default=True,
-    help="POLICY of another tool has the rules that this tool adds by itself.",
-)
-@distro_option
-@click.option(
-    "--profile-type", cls=PluginOption, group="keymint.profile_types", default=DEFAULT_PROFILE_TYPE, show_default=True,
-    help="Plugin that makes the profile.",
-)  # fmt: skip
 def adopt(
     run: Run,
-    keystore: Path,
-    policy: Path | None,
-    applied: bool,
-    accept: bool,
-    implicit: bool,
-    distro: str | None,
-    profile_type: str,
+    keystore: Path = argument(type=PATH),
+    policy: Path | None = argument(type=PATH, required=False),
+    applied: bool = flag("Write the workspace; without it nothing is written.", "--apply"),
+    accept: bool = flag("Take POLICY as it reads where the other tool enforces something else."),
+    implicit: bool = option(
+        "--implicit/--no-implicit",
+        default=True,
+        show_default=True,
+        help="POLICY of another tool has the rules that this tool adds by itself.",
+    ),
+    distro: str | None = distro_option,
+    profile_type: str = plugin(
+        "keymint.profile_types", "Plugin that makes the profile.", default=DEFAULT_PROFILE_TYPE, show_default=True
+    ),
 ) -> Report:
     """Examine KEYSTORE, which another tool made, and take it over: 'ros2 security', openssl, or a vendor's guide.
 
@@ -82,14 +78,19 @@ def adopt(
     build_type_name, reader, files, found = found_in(run.plugins, folder, str(keystore), run.setting.now)
     chosen = distro or run.setting.environment.get("ROS_DISTRO") or (_OLD if found.layout == "flat" else "")
     options = PolicyOptions(chosen or None, profile_type, "keymint_ros2_comarmor")
-    own, comparisons = _policy(run, reader, found, policy, workspace, options, (accept, implicit))
-    different = [each for each in (one.finding() for one in comparisons) if each]
     target = options.distro or DEFAULT_DISTRO
+    own: AdoptedPolicy | None = None
+    comparisons: tuple[Compared, ...] = ()
+    if policy is not None:
+        own = _named_policy(run, policy, workspace, options, found, accept=accept, implicit=implicit)
+        effort = ProofEffort(run.setting.monotonic, _STATES)
+        comparisons = document_comparisons(reader, found.enclaves, own.rules, target, effort)
+    different = [each for each in (one.finding() for one in comparisons) if each]
     rules = of_documents(reader, files, found.enclaves, target)
     nodes = node_notes(run.plugins, (build_type_name,), target, rules)
     found = replace(found, diagnostics=(*found.diagnostics, *(own.diagnostics if own else ()), *different, *nodes))
-    run.console.lines(summary(str(keystore), found, {each.subject: each.words for each in comparisons}))
-    result = as_json(found, {each.subject: each.as_json() for each in comparisons})
+    run.console.lines(_summary(str(keystore), found, {each.subject: each.words for each in comparisons}))
+    result = _result(found, {each.subject: each.as_json() for each in comparisons})
     if not applied:
         return run.report(result, found.diagnostics, findings_exit(found.diagnostics), notes=NODE_NOTES)
     run.recover(workspace)
@@ -97,7 +98,7 @@ def adopt(
         return replace(run.finish(workspace), result=result)
     _refuse(run, files, found, workspace)
     if own is None:
-        own = learned_policy(run, reader, files, found, workspace, options)
+        own = _learned_policy(run, reader, files, found, workspace, options)
         found = replace(found, diagnostics=(*found.diagnostics, *own.diagnostics))
     request = _request(workspace, found, own.path, files.now, target)
     adoption = Adoption(reader, files, found, own, profile_type, request)
@@ -109,18 +110,6 @@ def adopt(
         return replace(plan, diagnostics=(*notes, *plan.diagnostics, *left))
 
     return replace(run.carry_out(workspace, make_plan), result=result, notes=NODE_NOTES)
-
-
-def _policy(
-    run: Run, reader: KeystoreReader, found: FoundKeystore, policy: Path | None, workspace: Workspace,
-    options: PolicyOptions, reading: tuple[bool, bool],
-) -> tuple[AdoptedPolicy | None, tuple[Compared, ...]]:  # fmt: skip
-    """Return the policy, if there is one, and how the signed documents compare with it."""
-    if policy is None:
-        return None, ()
-    own = named_policy(run, policy, workspace, options, [each.subject for each in found.enclaves], *reading)
-    effort = ProofEffort(run.setting.monotonic, STATES)
-    return own, document_comparisons(reader, found.enclaves, own.rules, options.distro or DEFAULT_DISTRO, effort)
 
 
 def _request(workspace: Workspace, found: FoundKeystore, policy: str, now: datetime, distro: str) -> Bootstrap:
@@ -169,3 +158,143 @@ def _left(found: FoundKeystore, keystore: str, workspace: Workspace) -> Iterator
             message = f"is the private key of the authority {authority.name!r}, which {own} has now"
             help_ = f"remove it once robots get their files from {workspace.shown(workspace.install)}; keep a backup"
             yield Diagnostic.warning("adopt-key-left", message, Origin(f"{keystore}/{path}"), help_)
+
+
+def _named_policy(
+    run: Run, path: Path, workspace: Workspace, options: PolicyOptions, keystore: FoundKeystore,
+    *, accept: bool, implicit: bool,
+) -> AdoptedPolicy:  # fmt: skip
+    """Return the policy that the user names: that of another tool is translated into the new profile.
+
+    Args:
+        run: the run.
+        path: file or folder.
+        workspace: the new workspace.
+        options: how to read it.
+        keystore: what the keystore has.
+        accept: take a policy of another tool as it reads where that tool enforces something else.
+        implicit: a policy of another tool has the rules that this tool adds by itself.
+
+    Raises:
+        KeymintError: the policy is missing, has defects, or cannot be expressed.
+    """
+    policies, place = Policies(run, options), run.setting.cwd / path
+    library = policies.shipped()  # an unknown distribution is wrong usage, whatever the file is
+    foreign = foreign_policy(run.plugins, [place], options.policy_type) if place.is_file() else None
+    if foreign and foreign.imported:
+        name = f"{_FOLDER}/{path.name.removesuffix('.xml').removesuffix('.policy')}.xml"
+        file, shown = str(workspace.profile / name), workspace.profile / _FOLDER
+        request = ImportRequest(place, file, library, accept, implicit, shown)
+        imported = run.plugins.policy_type(foreign.policy_type).translated(request)
+        rules = {each.rules.subject: each.rules for each in imported.subjects}
+        return AdoptedPolicy(_FOLDER, {name: imported.document}, rules, tuple(rules), diagnostics=imported.diagnostics)
+    loaded = policies.at(place, str(path), library_shown=workspace.profile / _FOLDER)
+    found = {each.subject: loaded.rules(each.subject) for each in keystore.enclaves}
+    rules = {subject: each for subject, each in found.items() if each is not None}
+    return AdoptedPolicy(policy_path(place, workspace.profile), {}, rules, tuple(loaded.subjects()))
+
+
+def _learned_policy(
+    run: Run,
+    reader: KeystoreReader,
+    files: KeystoreFiles,
+    found: FoundKeystore,
+    workspace: Workspace,
+    options: PolicyOptions,
+) -> AdoptedPolicy:
+    """Return a policy that is proven to mean what is signed.
+
+    Args:
+        run: the run.
+        reader: reads the keystore.
+        files: the files of the keystore.
+        found: what it has.
+        workspace: the new workspace.
+        options: how to write the policy.
+
+    Raises:
+        KeymintError: no policy can say what a document grants, or the proof fails.
+    """
+    name = f"{_FOLDER}/adopted.xml"
+    effort = ProofEffort(run.setting.monotonic, _STATES)
+    file = str(workspace.profile / name)
+    learning = Learning(reader, options.policy_type, Policies(run, options).distro, file, effort)
+    learned = learned_from(run.plugins, files, found, learning)
+    rules = {each.subject: each for each in learned.subjects}
+    return AdoptedPolicy(
+        _FOLDER, {name: learned.document}, rules, tuple(rules), learned=True, diagnostics=learned.diagnostics
+    )
+
+
+def _summary(keystore: str, found: FoundKeystore, relations: Mapping[str, str]) -> Iterator[str]:
+    """Yield the lines of a report.
+
+    Args:
+        keystore: the keystore as the user typed it.
+        found: what it has.
+        relations: how the signed documents of each subject compare with a policy, in words.
+    """
+    yield f"{keystore}: {counted(len(found.enclaves), 'enclave')}, {found.form}"
+    for authority in found.authorities:
+        yield _authority(authority)
+    for enclave in found.enclaves:
+        yield _enclave(enclave, relations.get(enclave.subject, ""))
+
+
+def _result(found: FoundKeystore, comparisons: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the result of the verb as JSON.
+
+    Args:
+        found: what the keystore has.
+        comparisons: how the signed documents of each subject compare with a policy.
+    """
+    return {
+        "form": found.form,
+        "layout": found.layout or None,
+        "authorities": [
+            {"name": each.name, "roles": each.roles, "file": each.file, **each.facts} for each in found.authorities
+        ],
+        "enclaves": [
+            {"subject": each.subject, **each.facts, "policy": comparisons.get(each.subject)} for each in found.enclaves
+        ],
+    }
+
+
+def _authority(authority: FoundAuthority) -> str:
+    facts = authority.facts
+    roles = " and ".join(authority.roles)
+    key = f"key in {facts['key_file']}" if facts["key_file"] else "key elsewhere"
+    until = f"until {str(facts['not_after'])[:10]}"
+    return f"authority  {authority.name}  {facts['subject_name']}, for {roles}, {facts['key_kind']}, {until}, {key}"
+
+
+def _enclave(enclave: FoundEnclave, relation: str) -> str:
+    facts = enclave.facts
+    certificate = facts.get("certificate")
+    checks = list(_checks(facts))
+    right, wrong = ([name for name, holds in checks if holds is wanted] for wanted in (True, False))
+    parts = [
+        facts["subject_name"] or "no certificate",
+        *([f"until {str(certificate['not_after'])[:10]}"] if certificate else []),
+        *([_domains(facts["domains"])] if facts["domains"] else []),
+        *([relation] if relation else []),
+        *([f"right: {', '.join(right)}"] if right else []),
+        *([f"WRONG: {', '.join(wrong)}"] if wrong else []),
+    ]
+    return f"enclave    {enclave.subject or facts['place']}  {'; '.join(parts)}"
+
+
+def _checks(facts: Mapping[str, Any]) -> Iterator[tuple[str, bool]]:
+    """Yield what was checked of an enclave, each with whether it is right."""
+    yield "chain", bool(facts["chain"])
+    if facts["key"] != "elsewhere":
+        yield "key", facts["key"] == "matches"
+    yield "name", bool(facts["named_like_path"])
+    yield "signatures", all(facts["signatures"].values())
+    if facts["same_text"] is not None:
+        yield "text", bool(facts["same_text"])
+
+
+def _domains(ranges: Sequence[Sequence[int]]) -> str:
+    texts = [str(first) if first == last else f"{first} to {last}" for first, last in ranges]
+    return f"domain {', '.join(texts)}"

@@ -21,68 +21,50 @@ import click
 from comarmor.errors import Diagnostic, Origin
 from keymint.api import DiscoveredGraph, GraphSource, graph_json
 from keymint.api.graph import NAMES_DIFFER, Graph, differing
-from keymint.command_line.graph_source_option import graph_source
 from keymint.command_line.named_files import deliver, exists, read_input
-from keymint.command_line.options import PATH, Number, PluginOption
-from keymint.command_line.verb import verb
+from keymint.command_line.verb import PATH, Number, Report, Run, flag, graph_source, option, plugin, verb
 from keymint.errors import ExitCode, KeymintError, usage_error
 from keymint.names import typed_subject
-from keymint.output.report import Report
-from keymint.run.run import Run
 
 _EXIT_CODES = {signal.SIGINT: ExitCode.INTERRUPTED, signal.SIGTERM: ExitCode.TERMINATED}
 
 
 @verb(workspace=False, dry_run=True)
-@click.option("--domain", type=click.IntRange(0, 232), metavar="N", help="Domain id [$ROS_DOMAIN_ID, else 0].")
-@click.option(
-    "--seconds",
-    type=Number(min=0, min_open=True, max=86_400),
-    default=10.0,
-    show_default=True,
-    metavar="S",
-    help="How long to observe. Endpoints that disappear meanwhile count too.",
-)
-@click.option(
-    "--from",
-    "captures",
-    type=PATH,
-    multiple=True,
-    metavar="FILE",
-    help="Read a Keymint graph, or a capture that the source knows, instead (docs/graph.md). May be repeated.",
-)
-@click.option(
-    "--append",
-    type=PATH,
-    metavar="GRAPH",
-    help="Add to this graph, which is created if missing. Without -o the result is written there.",
-)
-@click.option("-o", "--output", type=PATH, metavar="FILE", help="Write the graph to this file [standard output].")
-@click.option("--no-fold", is_flag=True, help="Keep the services and topics of actions and parameters separate.")
-@click.option(
-    "--subject",
-    "subjects",
-    multiple=True,
-    metavar="ID=NAME",
-    help="Name the subject whose identifier begins with ID; -v shows identifiers. May be repeated.",
-)
-@click.option(
-    "--source",
-    "source_name",
-    cls=PluginOption,
-    group="keymint.graph_sources",
-    help="Plugin that observes and reads graphs [the only one that is installed].",
-)
 def discover(
     run: Run,
-    domain: int | None,
-    seconds: float,
-    captures: tuple[Path, ...],
-    append: Path | None,
-    output: Path | None,
-    no_fold: bool,
-    subjects: tuple[str, ...],
-    source_name: str | None,
+    domain: int | None = option(type=click.IntRange(0, 232), metavar="N", help="Domain id [$ROS_DOMAIN_ID, else 0]."),
+    seconds: float = option(
+        type=Number(min=0, min_open=True, max=86_400),
+        default=10.0,
+        show_default=True,
+        metavar="S",
+        help="How long to observe. Endpoints that disappear meanwhile count too.",
+    ),
+    captures: tuple[Path, ...] = option(
+        "--from",
+        type=PATH,
+        multiple=True,
+        metavar="FILE",
+        help="Read a Keymint graph, or a capture that the source knows, instead (docs/graph.md). May be repeated.",
+    ),
+    append: Path | None = option(
+        type=PATH,
+        metavar="GRAPH",
+        help="Add to this graph, which is created if missing. Without -o the result is written there.",
+    ),
+    output: Path | None = option(
+        "-o", type=PATH, metavar="FILE", help="Write the graph to this file [standard output]."
+    ),
+    no_fold: bool = flag("Keep the services and topics of actions and parameters separate."),
+    subjects: tuple[str, ...] = option(
+        "--subject",
+        multiple=True,
+        metavar="ID=NAME",
+        help="Name the subject whose identifier begins with ID; -v shows identifiers. May be repeated.",
+    ),
+    source_name: str | None = plugin(
+        "keymint.graph_sources", "Plugin that observes and reads graphs [the only one that is installed].", "--source"
+    ),
 ) -> Report:
     """Record the graph of a running system: the topics, services, actions and parameters that each subject uses.
 
@@ -94,7 +76,7 @@ def discover(
     keymint learn graph.json -o policy.xml
     keymint provision policy.xml -w ws
     """
-    source = graph_source(run, source_name, "--source")
+    source = graph_source(run.plugins, source_name, "--source")
     names = _names(subjects)
     if captures and domain is not None:
         raise usage_error("--domain cannot be combined with --from", "a capture contains its domain")

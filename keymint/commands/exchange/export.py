@@ -8,45 +8,35 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import click
-
 from comarmor.errors import Diagnostic, Origin
 from comarmor.text import did_you_mean, quoted
 from keymint.api import LoadedPolicy, PolicyFormat, PolicyType
-from keymint.command_line.named_files import deliver, read_input, refuse_replacing
+from keymint.command_line.named_files import deliver, read_input
 from keymint.command_line.named_policies import Policies
-from keymint.command_line.options import FILE, PATH, PolicyOptions, force_option, policy_options
-from keymint.command_line.verb import verb
-from keymint.commands.exchange.import_policy import proofs_of
-from keymint.commands.exchange.import_proof import diagnostics_of, unproven
+from keymint.command_line.options import PolicyOptions, force_option, policy_options
+from keymint.command_line.verb import FILE, PATH, Report, Run, argument, flag, option, verb
+from keymint.commands.exchange.import_policy import diagnostics_of, proofs_of, unproven
 from keymint.errors import KeymintError, usage_error
 from keymint.ir import SubjectRules
 from keymint.names import no_subject, typed_subject
-from keymint.output.report import Report
-from keymint.run.run import Run
 
 _FORMATS = "keymint.policy_formats"
 
 
 @verb(dry_run=True)
-@click.argument("policy", required=False, type=PATH)
-@click.option("--format", "form", metavar="NAME", required=True, help="The format: of a policy type, or xacml.")
-@click.option("-o", "--output", type=FILE, metavar="FILE", help="Write the policy to this file [standard output].")
-@click.option(
-    "--subjects", "listed", type=FILE, metavar="FILE", help="Further subjects, one a line, for profiles with wildcards."
-)
-@click.option("--lossy", is_flag=True, help="Leave out ALLOW rules that the format cannot express; each is listed.")
-@force_option
-@policy_options
 def export(
     run: Run,
-    policy: Path | None,
-    form: str,
-    output: Path | None,
-    listed: Path | None,
-    lossy: bool,
-    force: bool,
-    policy_options: PolicyOptions,
+    policy: Path | None = argument(required=False, type=PATH),
+    form: str = option("--format", metavar="NAME", required=True, help="The format: of a policy type, or xacml."),
+    output: Path | None = option(
+        "-o", type=FILE, metavar="FILE", help="Write the policy to this file [standard output]."
+    ),
+    listed: Path | None = option(
+        "--subjects", type=FILE, metavar="FILE", help="Further subjects, one a line, for profiles with wildcards."
+    ),
+    lossy: bool = flag("Leave out ALLOW rules that the format cannot express; each is listed."),
+    force: bool = force_option,
+    policy_options: PolicyOptions = policy_options,
 ) -> Report:
     """Write POLICY in the language of another tool, for the subjects that it names and those of --subjects.
 
@@ -61,11 +51,14 @@ def export(
     policies = Policies(run, policy_options)
     subjects = _subjects(run, policies.load(policy), listed)
     document, diagnostics = _made(run, writer, subjects, policies.distro, lossy=lossy)
-    if output is not None and not force:
-        help_ = "name another file, or replace it with --force"
-        refuse_replacing(run, output, document, "the exported policy", help_, "export-exists")
+    keep = KeymintError(
+        "exists and differs from the exported policy",
+        where=Origin(str(output)),
+        help="name another file, or replace it with --force",
+        code="export-exists",
+    )
     result: dict[str, Any] = {
-        **deliver(run, output, document),
+        **deliver(run, output, document, keep=None if force else keep),
         "policy": None if output else document.decode(),
         "subjects": [each.subject for each in subjects],
     }

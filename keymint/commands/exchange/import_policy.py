@@ -3,53 +3,55 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-
-import click
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.text import counted, first_few
+from comarmor.values import dataclass
 from comarmor.xml.reader import looks_like_xml, parse
-from keymint.api import ImportedSubject, ImportRequest, PolicyType
-from keymint.command_line.named_files import deliver, exists, read_input, refuse_replacing
+from keymint.api import (
+    Claim,
+    Comparison,
+    Counterexample,
+    ImportedSubject,
+    ImportRequest,
+    PolicyType,
+    Proof,
+    standard_claims,
+)
+from keymint.command_line.named_files import deliver, exists, read_input
 from keymint.command_line.named_policies import Policies
-from keymint.command_line.options import FILE, PATH, PolicyOptions, distro_option, force_option, library_option
-from keymint.command_line.verb import verb
-from keymint.commands.exchange.import_proof import SubjectProof, diagnostics_of, unproven
+from keymint.command_line.options import PolicyOptions, distro_option, force_option, library_option
+from keymint.command_line.verb import FILE, PATH, Report, Run, argument, flag, option, verb
 from keymint.errors import KeymintError
 from keymint.examine.nodes import node_notes
-from keymint.output.report import Report
-from keymint.run.run import Run
 from keymint.stages.proof.proof_results import ProofEffort
 from keymint.workspace.policy_loading import foreign_policy
 
 
 @verb(workspace=False, dry_run=True, name="import")
-@click.argument("policy", type=FILE)
-@click.option(
-    "-o", "--output", type=PATH, metavar="DIR", default="comarmor.d", show_default=True,
-    help="Write the new policy into this folder, as NAME.xml.",
-)  # fmt: skip
-@click.option(
-    "--accept", is_flag=True, help="Take the policy as it reads where the other tool enforces something else."
-)
-@click.option(
-    "--implicit/--no-implicit", default=True, show_default=True,
-    help="With the rules that the other tool adds by itself.",
-)  # fmt: skip
-@force_option
-@distro_option
-@library_option
 def import_policy(
     run: Run,
-    policy: Path,
-    output: Path,
-    accept: bool,
-    implicit: bool,
-    force: bool,
-    distro: str | None,
-    profile_type: str,
+    policy: Path = argument(type=FILE),
+    output: Path = option(
+        "-o",
+        type=PATH,
+        metavar="DIR",
+        default="comarmor.d",
+        show_default=True,
+        help="Write the new policy into this folder, as NAME.xml.",
+    ),
+    accept: bool = flag("Take the policy as it reads where the other tool enforces something else."),
+    implicit: bool = option(
+        "--implicit/--no-implicit",
+        default=True,
+        show_default=True,
+        help="With the rules that the other tool adds by itself.",
+    ),
+    force: bool = force_option,
+    distro: str | None = distro_option,
+    profile_type: str = library_option,
 ) -> Report:
     """Translate POLICY of another tool into a ComArmor policy, and prove that both mean the same.
 
@@ -74,10 +76,13 @@ def import_policy(
     if refuted := unproven(proofs, importer.TOOL):
         raise KeymintError.of([*imported.diagnostics, *refuted])
     _refuse_other_library(run, output, request.library, imported.document)
-    if not force:
-        help_ = "name another folder with -o, or replace it with --force"
-        refuse_replacing(run, file, imported.document, "the imported policy", help_, "import-exists")
-    delivered = deliver(run, file, imported.document)
+    keep = KeymintError(
+        "exists and differs from the imported policy",
+        where=Origin(str(file)),
+        help="name another folder with -o, or replace it with --force",
+        code="import-exists",
+    )
+    delivered = deliver(run, file, imported.document, keep=None if force else keep)
     same = sum(proof.is_same for proof in proofs)
     run.console.line(
         f"{counted(len(proofs), 'subject')}: {same} proven to permit, for all names, what {importer.TOOL} lets it do"
@@ -152,3 +157,78 @@ def _beside(run: Run, policy: Path, file: Path) -> Iterator[Diagnostic]:
             f"'keymint diff {policy} {file.parent}' shows what they add; remove them, or name another folder with -o"
         )
         yield Diagnostic.warning("import-beside", message, Origin(str(file)), help_)
+
+
+@dataclass(frozen=True, slots=True)
+class SubjectProof:
+    """What is proven about a subject.
+
+    Attributes:
+        subject: the subject.
+        deviates: the other tool is known to enforce something else than its policy reads, which was accepted.
+        comparison: the claims.
+    """
+
+    subject: str
+    deviates: bool
+    comparison: Comparison
+
+    @property
+    def is_same(self) -> bool:
+        """Whether both documents permit the same for all names, as the standard reads them."""
+        claims = (*standard_claims(self.comparison.theirs), *self.comparison.ours)
+        return all(claim.proof is Proof.PROVEN for claim in claims)
+
+
+def unproven(proofs: Iterable[SubjectProof], tool: str) -> list[Diagnostic]:
+    """Return an error for each subject whose documents are not proven to mean the same, unless that was accepted."""
+    found = []
+    for proof in proofs:
+        claims = (*proof.comparison.ours, *(() if proof.deviates else standard_claims(proof.comparison.theirs)))
+        claim = next((each for each in claims if each.proof is not Proof.PROVEN), None)
+        if claim is not None:
+            message = f"{proof.subject}: not proven to permit what {tool}'s document permits: {_reason(claim, tool)}"
+            help_ = "this is a defect of Keymint: report it" if claim.counterexample else "simplify the policy"
+            found.append(Diagnostic.error("import-unproven", message, None, help_, proof.subject))
+    return found
+
+
+def diagnostics_of(proofs: Iterable[SubjectProof], tool: str) -> Iterator[Diagnostic]:
+    """Yield what changes for a subject, what vendors read otherwise, and rules that not every vendor supports."""
+    for proof in proofs:
+        yield from proof.comparison.diagnostics
+        standard = standard_claims(proof.comparison.theirs)
+        for claim in standard:
+            if claim.counterexample is not None:
+                message = f"{proof.subject}: what is enforced changes: {_difference(claim.counterexample, tool)}"
+                where = claim.counterexample.policy.where
+                yield Diagnostic.warning("import-changes", message, where, "", proof.subject)
+        if proof.is_same:
+            yield from _vendors(proof, standard[0].model, tool)
+
+
+def _vendors(proof: SubjectProof, standard: str, tool: str) -> Iterator[Diagnostic]:
+    """Yield a note for each vendor that reads the other tool's document differently from the standard."""
+    seen = {standard}
+    for claim in proof.comparison.theirs:
+        if claim.counterexample is not None and claim.model not in seen:
+            seen.add(claim.model)
+            message = f"{proof.subject}: {claim.model} reads {tool}'s document differently from the standard"
+            difference = f"{message}: {_difference(claim.counterexample, tool)}"
+            where = claim.counterexample.policy.where
+            yield Diagnostic.note("import-vendor", difference, where, "", proof.subject)
+
+
+def _difference(example: Counterexample, tool: str) -> str:
+    """Return a shortest name on which both differ, in words."""
+    permits = "permits" if example.document.allowed else "does not permit"
+    allows = "allows" if example.policy.allowed else "does not allow"
+    ros = f" ({example.meaning.permission} {example.meaning.object.name})" if example.meaning else ""
+    name = f"{example.endpoint.action} {example.endpoint.name!r}{ros}"
+    return f"{tool}'s document {permits} it to {name}, and the policy in ComArmor {allows} it"
+
+
+def _reason(claim: Claim, tool: str) -> str:
+    if claim.counterexample is not None:
+        return _difference(claim.counterexample, tool)
+    return f"{claim.model}, {claim.action}: {claim.reason}"

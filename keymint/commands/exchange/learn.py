@@ -10,41 +10,36 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import click
-
 from comarmor.errors import Diagnostic, Origin
+from comarmor.text import counted
 from comarmor.xml.reader import looks_like_xml
-from keymint.api import LearnedPolicy, LoadedPolicy, graph_json
+from keymint.api import GrantedRules, LearnedPolicy, LoadedPolicy, graph_json
 from keymint.api.graph import NAMES_DIFFER, Edge, Graph, differing
-from keymint.command_line.named_files import read_input, show_written, write_outputs
+from keymint.command_line.named_files import deliver, read_input, show_written, write_outputs
 from keymint.command_line.named_policies import Policies
-from keymint.command_line.options import PATH, PolicyOptions, force_option, policy_options
-from keymint.command_line.verb import verb
-from keymint.commands.exchange.learn_keystore import from_keystore, refuse_replacing_policy
+from keymint.command_line.options import PolicyOptions, force_option, policy_options
+from keymint.command_line.verb import PATH, Report, Run, argument, findings_if, option, verb
 from keymint.errors import KeymintError, usage_error
-from keymint.output.report import Report, findings_if
-from keymint.run.run import Run
+from keymint.stages.proof.proof_results import ProofEffort
 from keymint.workspace.policy_loading import foreign_policy
 
 
 @verb(workspace=False, dry_run=True)
-@click.argument("graphs", type=PATH, nargs=-1, metavar="[GRAPH]...")
-@click.option(
-    "--from-keystore", "keystore", type=PATH, metavar="KEYSTORE",
-    help="Learn from the signed documents of a keystore in place of a graph.",
-)  # fmt: skip
-@click.option("--policy", type=PATH, metavar="EXISTING", help="Keep this policy; generate only what it lacks.")
-@click.option("-o", "--output", type=PATH, metavar="FILE", help="Write the policy to this file [standard output].")
-@force_option
-@policy_options
 def learn(
     run: Run,
-    graphs: tuple[Path, ...],
-    keystore: Path | None,
-    policy: Path | None,
-    output: Path | None,
-    force: bool,
-    policy_options: PolicyOptions,
+    graphs: tuple[Path, ...] = argument(type=PATH, nargs=-1, metavar="[GRAPH]..."),
+    keystore: Path | None = option(
+        "--from-keystore",
+        type=PATH,
+        metavar="KEYSTORE",
+        help="Learn from the signed documents of a keystore in place of a graph.",
+    ),
+    policy: Path | None = option(type=PATH, metavar="EXISTING", help="Keep this policy; generate only what it lacks."),
+    output: Path | None = option(
+        "-o", type=PATH, metavar="FILE", help="Write the policy to this file [standard output]."
+    ),
+    force: bool = force_option,
+    policy_options: PolicyOptions = policy_options,
 ) -> Report:
     """Generate the smallest policy that allows the edges of GRAPH, like aa-genprof for robots.
 
@@ -70,7 +65,7 @@ def learn(
                 "--from-keystore takes neither a graph nor --policy", "learn from one of them at a time, and compare "
                 "the results: keymint diff ONE OTHER",
             )  # fmt: skip
-        return from_keystore(run, keystore, output, policy_options, force=force)
+        return _from_keystore(run, keystore, output, policy_options, force=force)
     if not graphs:
         raise usage_error(
             "the argument GRAPH is missing", "name a file of 'keymint discover', or a keystore: --from-keystore"
@@ -91,10 +86,8 @@ def learn(
     learned = replace(learned, unused=tuple(run.as_typed(rule) for rule in learned.unused))
     written: list[str] = []
     if output and learned.document:
-        if not force:
-            refuse_replacing_policy(run, output, learned.document)
         fragments = {f"{folder}/{name}": content for name, content in learned.fragments.items()}
-        written = write_outputs(run, output, learned.document, fragments)
+        written = write_outputs(run, output, learned.document, fragments, keep=None if force else _kept(output))
     _tell(run, learned, output, written, against=policy is not None)
     domains = sorted({edge.domain for edge in wanted.edges})
     result: dict[str, Any] = {
@@ -120,6 +113,16 @@ def _record(run: Run, path: Path) -> Graph:
     if looks_like_xml(content) and (foreign := foreign_policy(run.plugins, [run.setting.cwd / path])):
         raise foreign.refusal(str(path))
     return graph_json.load(content, str(path))
+
+
+def _kept(output: Path | None) -> KeymintError:
+    """Return the error for a file that has other content than the learned policy."""
+    return KeymintError(
+        "exists and differs from the learned policy",
+        where=Origin(str(output)),
+        help="name another file, compare it with the graph by --policy, or replace it with --force",
+        code="learn-exists",
+    )
 
 
 def _about_domains(domains: Sequence[int], output: Path | None) -> Iterator[Diagnostic]:
@@ -172,3 +175,74 @@ def _as_json(edge: Edge) -> dict[str, Any]:
 
 def _place(rule: Diagnostic) -> dict[str, str]:
     return {"code": rule.code, "place": str(rule.where) if rule.where else "", "message": rule.message}
+
+
+def _from_keystore(
+    run: Run, keystore: Path, output: Path | None, policy_options: PolicyOptions, *, force: bool
+) -> Report:
+    """Learn a policy from the signed documents of a keystore, prove it, and write it.
+
+    Args:
+        run: the run.
+        keystore: folder of the keystore.
+        output: the file to write; None for standard output.
+        policy_options: the options of the policy to write.
+        force: replace a file with different content.
+
+    Raises:
+        KeymintError: a signature does not verify, no policy can say what a document grants, or the proof fails; with
+            its place.
+    """
+    from keymint.adoption.keystore_files import found_in  # noqa: PLC0415
+    from keymint.adoption.keystore_policy import Learning, learned_from  # noqa: PLC0415 - graphs need none of it
+
+    policies = Policies(run, policy_options)
+    policies.shipped()  # an unknown distribution is wrong usage, whatever the keystore is
+    _, reader, files, found = found_in(run.plugins, run.setting.cwd / keystore, str(keystore), run.setting.now)
+    effort = ProofEffort(run.setting.monotonic)
+    name = str(output or "policy.xml")
+    learning = Learning(reader, policy_options.policy_type, policies.distro, name, effort)
+    learned = learned_from(run.plugins, files, found, learning)
+    delivered = deliver(run, output, learned.document, keep=None if force else _kept(output))
+    if output is not None:
+        subjects = counted(len(learned.granted), "subject")
+        run.console.line(f"{subjects}: proven to allow, for all names, what the signed documents permit")
+    result: dict[str, Any] = {
+        "domains": sorted({domain for each in learned.granted for domain in _signed_domains(each)}),
+        **delivered,
+        "policy": None if output else learned.document.decode(),
+        "missing": [],
+        "unused": [],
+    }
+    diagnostics = (*learned.diagnostics, *_about_signed_domains(learned.granted, output))
+    return run.report(result, diagnostics)
+
+
+def _signed_domains(granted: GrantedRules) -> Iterator[int]:
+    for each in granted.domains:
+        yield from range(each.first, each.last + 1)
+
+
+def _about_signed_domains(granted: Sequence[GrantedRules], output: Path | None) -> Iterator[Diagnostic]:
+    """Yield a warning unless all documents are for domain 0 alone: a policy contains no domain."""
+    groups: dict[tuple[int, ...], list[str]] = {}
+    for each in granted:
+        if domains := tuple(_signed_domains(each)):
+            groups.setdefault(domains, []).append(each.rules.subject)
+    if len(groups) > 1:
+        shown = "; ".join(f"{_in_words(domains)} ({subjects[0]})" for domains, subjects in groups.items())
+        message = f"the documents are for different domains: {shown}; the policy allows all in each"
+        help_ = "to keep the domains separate, have one keystore and one workspace for each"
+    elif groups.keys() <= {(0,)}:
+        return
+    else:
+        (domains,) = groups
+        message = f"the documents are for {_in_words(domains)}; policies contain no domain"
+        help_ = f"keymint provision {output or 'POLICY'} --domain {domains[0]}"
+    yield Diagnostic.warning("learn-domain", message, Origin(str(output)) if output else None, help_)
+
+
+def _in_words(domains: Sequence[int]) -> str:
+    if len(domains) == 1:
+        return f"domain {domains[0]}"
+    return f"{len(domains)} domains, {domains[0]} to {domains[-1]}"

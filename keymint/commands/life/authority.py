@@ -21,11 +21,11 @@ VERBS: Mapping[str, str] = {
 
 
 class _AuthorityVerbs(VerbGroup):
-    """The verbs about authorities; one is named like a keyword of Python."""
+    """The verbs about authorities."""
 
     GROUPS: Mapping[str, Mapping[str, str]] = MappingProxyType({"Verbs": VERBS})
     MODULE = "keymint.commands.life.authority_{verb}"
-    NAME = "command"
+    MODULES: Mapping[str, str] = MappingProxyType(dict.fromkeys(("renew", "import", "encrypt"), "change"))
 
 
 @click.group(cls=_AuthorityVerbs)

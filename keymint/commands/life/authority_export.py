@@ -6,32 +6,29 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-import click
-
 from comarmor.errors import Diagnostic, Origin
 from keymint.authority import authority_files
 from keymint.authority.authorities import authority_named, only_in_token
 from keymint.command_line.named_files import deliver, write_outputs
-from keymint.command_line.options import FILE, authority_argument
-from keymint.command_line.verb import verb
+from keymint.command_line.options import authority_argument
+from keymint.command_line.verb import FILE, Report, Run, flag, option, verb
 from keymint.errors import KeymintError, usage_error
-from keymint.output.report import Report
-from keymint.run.run import Run
 from keymint.workspace.session import Session
 
 
 @verb(of="authority")
-@authority_argument
-@click.option("-o", "--output", type=FILE, metavar="FILE", help="Write the certificate here [standard output].")
-@click.option("--chain", is_flag=True, help="Add the certificates above it, up to the self-signed one.")
-@click.option(
-    "--with-key",
-    "key_file",
-    type=FILE,
-    metavar="FILE",
-    help="Also write its private key here (mode 0600). Whoever has it can make any robot do anything.",
-)
-def command(run: Run, name: str, output: Path | None, chain: bool, key_file: Path | None) -> Report:
+def authority_export(
+    run: Run,
+    name: str = authority_argument,
+    output: Path | None = option("-o", type=FILE, metavar="FILE", help="Write the certificate here [standard output]."),
+    chain: bool = flag("Add the certificates above it, up to the self-signed one."),
+    key_file: Path | None = option(
+        "--with-key",
+        type=FILE,
+        metavar="FILE",
+        help="Also write its private key here (mode 0600). Whoever has it can make any robot do anything.",
+    ),
+) -> Report:
     """Write the certificate of an authority as PEM; never its private key, unless --with-key asks for it."""
     session = run.session()
     files = authority_files.read_files(session, authority_named(session, name))

@@ -12,43 +12,35 @@ import click
 from comarmor.errors import Diagnostic
 from keymint.api import Phase
 from keymint.authority import rollover
-from keymint.command_line.authority_change import given_authority
-from keymint.command_line.options import FILE, authority_argument
-from keymint.command_line.verb import verb
+from keymint.command_line.options import authority_argument
+from keymint.command_line.verb import FILE, Report, Run, flag, option, verb
+from keymint.commands.life.authority_change import given_authority
 from keymint.errors import usage_error
-from keymint.output.report import Report
-from keymint.run.run import Run
 from keymint.stages.rollover_phases import PhaseRequest, phase_plan
 from keymint.store.changes import Plan
 from keymint.workspace.session import Session
 
 
 @verb(dry_run=True, of="authority")
-@authority_argument
-@click.option(
-    "--phase",
-    type=click.Choice([phase.value for phase in Phase]),
-    help="Go on to this phase: all robots have the keystore of the one before it.",
-)
-@click.option("--cancel", is_flag=True, help="Give up: the present authority stays. Only before the next one issues.")
-@click.option(
-    "--vendor",
-    "vendors",
-    multiple=True,
-    metavar="NAME",
-    help="The fleet has only this implementation of its transport; may be repeated [all]. If all of them "
-    "accept two authorities at once, no robot must wait for another one.",
-)
-@click.option("--certificate", type=FILE, metavar="FILE", help="The next authority is this one, made elsewhere.")
-@click.option("--key", "key_file", type=FILE, metavar="FILE", help="Its private key.")
-def command(
+def authority_replace(
     run: Run,
-    name: str,
-    phase: str | None,
-    cancel: bool,
-    vendors: tuple[str, ...],
-    certificate: Path | None,
-    key_file: Path | None,
+    name: str = authority_argument,
+    phase: str | None = option(
+        type=click.Choice([phase.value for phase in Phase]),
+        help="Go on to this phase: all robots have the keystore of the one before it.",
+    ),
+    cancel: bool = flag("Give up: the present authority stays. Only before the next one issues."),
+    vendors: tuple[str, ...] = option(
+        "--vendor",
+        multiple=True,
+        metavar="NAME",
+        help="The fleet has only this implementation of its transport; may be repeated [all]. If all of them "
+        "accept two authorities at once, no robot must wait for another one.",
+    ),
+    certificate: Path | None = option(
+        type=FILE, metavar="FILE", help="The next authority is this one, made elsewhere."
+    ),
+    key_file: Path | None = option("--key", type=FILE, metavar="FILE", help="Its private key."),
 ) -> Report:
     """Replace the key of an authority, phase by phase.
 
@@ -65,19 +57,18 @@ def command(
         )
     given = given_authority(run, certificate, key_file) if certificate else None
     request = PhaseRequest(Phase(phase) if phase else None, cancel, vendors, given)
-    phases: list[str] = []
 
-    def make_plan(session: Session) -> Plan:
+    def make_plan(session: Session) -> tuple[Plan, str]:
         before = rollover.phase_of(session, name)
         plan = phase_plan(run.crew, session, name, request)
         reached = rollover.phase_of(session.after(plan).session(), name)
-        phases[:] = [(reached or Phase.END).value]
         if run.dry_run and not cancel:
             run.console.lines(_outline(session, name, before, reached))
-        return plan.noting(_told(session, name, before, reached, cancelled=cancel))
+        told = _told(session, name, before, reached, cancelled=cancel)
+        return plan.noting(told), (reached or Phase.END).value
 
-    report = run.change(make_plan)
-    return replace(report, result={"authority": name, "phase": phases[0]})
+    report, phase_reached = run.made(make_plan)
+    return replace(report, result={"authority": name, "phase": phase_reached})
 
 
 # -- messages --------------------------------------------------------------------------------------------------------

@@ -9,7 +9,6 @@ from datetime import datetime
 from itertools import chain
 from typing import Any
 
-import click
 from cryptography import x509
 
 from comarmor.text import counted
@@ -17,20 +16,19 @@ from keymint.authority import authority_files
 from keymint.authority.authorities import authority_named
 from keymint.authority.authority_changes import uses
 from keymint.command_line.options import complete_authority
-from keymint.command_line.verb import verb
+from keymint.command_line.verb import Report, Run, argument, verb
 from keymint.examine.weaknesses import lacks
 from keymint.life.renewal_schedule import authority_renewals, installed_terms
 from keymint.life.revocation_lists_in_force import list_of
 from keymint.life.terms import DEFAULT, days_left
-from keymint.output.report import Report
 from keymint.pki import certificates, distinguished_names, extensions, keys
-from keymint.run.run import Run
 from keymint.workspace.session import Session
 
 
 @verb(of="authority")
-@click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=complete_authority)
-def command(run: Run, names: tuple[str, ...]) -> Report:
+def authority_show(
+    run: Run, names: tuple[str, ...] = argument(nargs=-1, metavar="[NAME]...", shell_complete=complete_authority)
+) -> Report:
     """Show each authority: its certificate, where its key is, whom it serves, and how far its replacement has come.
 
     NAME is an authority of the profile [all].
@@ -109,31 +107,27 @@ def _certificate(certificate: x509.Certificate, due: datetime | None = None) -> 
     }
 
 
-def _lines(each: Mapping[str, Any], now: datetime) -> Iterator[str]:
-    yield each["name"]
-    if each["certificate"] is None:
-        yield "  no certificate"
+def _lines(authority: Mapping[str, Any], now: datetime) -> Iterator[str]:
+    """Yield an authority in words."""
+    yield authority["name"]
+    if found := authority["certificate"]:
+        first, last, renew = found["not_before"], found["not_after"], found["renew_after"]
+        yield f"  subject       {found['subject']}"
+        yield f"  key           {found['key']}, SHA-256 {found['fingerprint']}"
+        left = f"({days_left(last, now)}), renew after {renew:%Y-%m-%d}"
+        yield f"  valid         {first:%Y-%m-%d} to {last:%Y-%m-%d} {left}"
+        yield f"  key usage     {'any' if found['key_usage'] is None else ', '.join(found['key_usage'])}"
     else:
-        for label, text in _of_certificate(each["certificate"], now):
-            yield f"  {label:13} {text}"
-    yield f"  {'issued by':13} {each['issuer'] or 'itself'}{' (imported)' if each['imported'] else ''}"
-    yield f"  {'private key':13} {each['private_key']}"
+        yield "  no certificate"
+    yield f"  issued by     {authority['issuer'] or 'itself'}{' (imported)' if authority['imported'] else ''}"
+    yield f"  private key   {authority['private_key']}"
     served = [
         f"{counted(use['packages'], 'package')} ({use['role']}{', signs' if use['signs'] else ''}; {use['build_type']})"
-        for use in each["serves"]
+        for use in authority["serves"]
     ]
-    yield f"  {'serves':13} {'; '.join(served) or 'nobody'}"
-    if of_list := each["revocation_list"]:
-        text = f"number {of_list['number']}, {of_list['revoked']} revoked, until {of_list['next_update']:%Y-%m-%d}"
-        yield f"  {'revocations':13} {text}"
-    if replaced := each["replacement"]:
-        other = replaced["certificate"]["fingerprint"]
-        yield f"  {'replacement':13} phase {replaced['phase']}; the other key is {other}"
-
-
-def _of_certificate(found: Mapping[str, Any], now: datetime) -> Iterator[tuple[str, str]]:
-    first, last, renew = found["not_before"], found["not_after"], found["renew_after"]
-    yield "subject", found["subject"]
-    yield "key", f"{found['key']}, SHA-256 {found['fingerprint']}"
-    yield "valid", f"{first:%Y-%m-%d} to {last:%Y-%m-%d} ({days_left(last, now)}), renew after {renew:%Y-%m-%d}"
-    yield "key usage", "any" if found["key_usage"] is None else ", ".join(found["key_usage"])
+    yield f"  serves        {'; '.join(served) or 'nobody'}"
+    if found := authority["revocation_list"]:
+        end = found["next_update"]
+        yield f"  revocations   number {found['number']}, {found['revoked']} revoked, until {end:%Y-%m-%d}"
+    if found := authority["replacement"]:
+        yield f"  replacement   phase {found['phase']}; the other key is {found['certificate']['fingerprint']}"

@@ -10,13 +10,12 @@ from typing import Any
 import click
 
 from keymint.command_line import durations
-from keymint.command_line.verb import verb
+from keymint.command_line.verb import Report, Run, flag, option, verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.life.revocation_lists_in_force import lists, loaded_lists
 from keymint.life.workspace_register import complete_register, register_change
 from keymint.names import subject_of
-from keymint.output.report import Report, members
-from keymint.run.run import Run
+from keymint.output.report import members
 from keymint.stages.pipeline import Request, conduct
 from keymint.stages.work import Work
 from keymint.store.changes import Plan
@@ -24,21 +23,18 @@ from keymint.workspace.session import Session
 
 
 @verb(dry_run=True)
-@click.option(
-    "--refresh", is_flag=True, help="Issue the lists again, with a higher number, and put them into all enclaves."
-)
-@click.option(
-    "--rebuild",
-    is_flag=True,
-    help="Make the lost register of issued certificates again, although it cannot have all revocations.",
-)
-@click.option(
-    "--valid-for",
-    callback=durations.optional_validity,
-    metavar="PERIOD",
-    help="With --refresh, let the lists end after this time: 30d, 4w. Nodes with an expired list do not start.",
-)
-def crl(run: Run, refresh: bool, rebuild: bool, valid_for: timedelta | None) -> Report:
+def crl(
+    run: Run,
+    refresh: bool = flag("Issue the lists again, with a higher number, and put them into all enclaves."),
+    rebuild: bool = flag(
+        "Make the lost register of issued certificates again, although it cannot have all revocations."
+    ),
+    valid_for: timedelta | None = option(
+        type=durations.validity,
+        metavar="PERIOD",
+        help="With --refresh, let the lists end after this time: 30d, 4w. Nodes with an expired list do not start.",
+    ),
+) -> Report:
     """Show the revocation lists: number, dates, and revoked certificates.
 
     A list ends with its authority. An expired one would keep each node that has it from starting, so a shorter
@@ -77,32 +73,22 @@ def _shown(run: Run, session: Session, done: Report | None = None) -> Report:
     subjects = {
         each.serial: subject_of(each.name) for each in register.certificates.values() if each.revoked and each.name
     }
-    rows: list[dict[str, Any]] = []
-    cells: list[list[str]] = []
-    for name, found in loaded_lists(session).items():
-        path = session.workspace.shown(session.workspace.revocation_list(name))
-        head = [name, str(found.number), f"{found.this_update:%Y-%m-%d}", f"{found.next_update:%Y-%m-%d}"]
-        cells += [
-            [*head, f"{each.serial:x}", subjects.get(each.serial, "-"), f"{each.at:%Y-%m-%d}", each.reason]
-            for each in found.revocations
-        ] or [[*head, "-", "-", "-", "-"]]
-        rows.append(
-            {
-                "authority": name,
-                "file": path,
-                **members(found, "number", "this_update", "next_update"),
-                "revoked": [
-                    {
-                        "serial": f"{each.serial:x}",
-                        "subject": subjects.get(each.serial),
-                        **members(each, "at", "reason"),
-                    }
-                    for each in found.revocations
-                ],
-            }
-        )
-    if cells:
-        run.console.table(["AUTHORITY", "NUMBER", "FROM", "UNTIL", "SERIAL", "SUBJECT", "REVOKED", "REASON"], cells)
+    found: list[dict[str, Any]] = [
+        {
+            "authority": name,
+            "file": session.workspace.shown(session.workspace.revocation_list(name)),
+            **members(each, "number", "this_update", "next_update"),
+            "revoked": [
+                {"serial": f"{one.serial:x}", "subject": subjects.get(one.serial), **members(one, "at", "reason")}
+                for one in each.revocations
+            ],
+        }
+        for name, each in loaded_lists(session).items()
+    ]
+    columns = {"AUTHORITY": "authority", "NUMBER": "number", "FROM": "this_update", "UNTIL": "next_update"}
+    of_revoked = {"SERIAL": "serial", "SUBJECT": "subject", "REVOKED": "at", "REASON": "reason"}
+    if found:
+        run.console.table(columns | of_revoked, [each | one for each in found for one in each["revoked"] or [{}]])
     else:
         run.console.line("no revocation list: nothing was ever revoked")
-    return replace(done or run.report(workspace=session.workspace), result={"lists": rows})
+    return replace(done or run.report(workspace=session.workspace), result={"lists": found})

@@ -11,13 +11,11 @@ import click
 from comarmor.text import first_few
 from keymint.adoption.hardening import plan_authority, plan_names
 from keymint.authority.authority_changes import plan_renewal
-from keymint.command_line.authority_change import issued_again
 from keymint.command_line.options import flag_day_option, packages_argument
-from keymint.command_line.verb import verb
+from keymint.command_line.verb import Report, Run, argument, flag, verb
+from keymint.commands.life.authority_change import issued_again
 from keymint.errors import KeymintError
 from keymint.examine.weaknesses import Weakness, open_steps
-from keymint.output.report import Report
-from keymint.run.run import Run
 from keymint.stages.pipeline import Request, conduct
 from keymint.stages.work import Work
 from keymint.store.changes import Plan
@@ -26,11 +24,13 @@ from keymint.workspace.session import Session
 
 
 @verb(dry_run=True)
-@click.argument("step", type=click.Choice([str(each) for each in Weakness]), required=False)
-@packages_argument
-@click.option("--apply", "applied", is_flag=True, help="Do the step; without it, see its cost and change nothing.")
-@flag_day_option
-def harden(run: Run, step: str | None, names: tuple[str, ...], applied: bool, flag_day: bool) -> Report:
+def harden(
+    run: Run,
+    step: str | None = argument(type=click.Choice([str(each) for each in Weakness]), required=False),
+    names: tuple[str, ...] = packages_argument,
+    applied: bool = flag("Do the step; without it, see its cost and change nothing.", "--apply"),
+    flag_day: bool = flag_day_option,
+) -> Report:
     """Say which steps are open and what each costs; do one of them with --apply.
 
     \b

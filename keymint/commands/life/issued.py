@@ -3,18 +3,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from datetime import datetime
 from functools import partial
-
-import click
+from typing import Any
 
 from keymint.command_line.options import packages_argument
-from keymint.command_line.verb import verb
+from keymint.command_line.verb import Report, Run, flag, verb
 from keymint.commands.life.revoke import document
 from keymint.errors import KeymintError
 from keymint.life.workspace_register import complete_register, register_change
 from keymint.names import package_name, subject_of
-from keymint.output.report import Report
-from keymint.run.run import Run
 from keymint.store.changes import Action, Plan, Step
 from keymint.workspace.session import Session
 
@@ -22,15 +21,15 @@ STAGE = "register"
 
 
 @verb(dry_run=True)
-@packages_argument
-@click.option("--revoked", is_flag=True, help="Only certificates that were revoked.")
-@click.option(
-    "--accept",
-    is_flag=True,
-    help="Accept that holders may present documents of NAME that were signed before and permit more than the policy, "
-    "until these end: 'check', 'prove' and 'status' mention them no more.",
-)
-def issued(run: Run, names: tuple[str, ...], revoked: bool, accept: bool) -> Report:
+def issued(
+    run: Run,
+    names: tuple[str, ...] = packages_argument,
+    revoked: bool = flag("Only certificates that were revoked."),
+    accept: bool = flag(
+        "Accept that holders may present documents of NAME that were signed before and permit more than the policy, "
+        "until these end: 'check', 'prove' and 'status' mention them no more."
+    ),
+) -> Report:
     """List the certificates that were issued: serial number, subject, generation, dates, and whether it is revoked.
 
     NAME is a package [all], also one whose sources are gone. --json has the fingerprints of the keys as well.
@@ -45,24 +44,19 @@ def issued(run: Run, names: tuple[str, ...], revoked: bool, accept: bool) -> Rep
         for each in register.certificates.values()
         if (not chosen or each.name in chosen) and (each.revoked or not revoked)
     ]
-    cells = [
-        [
-            subject_of(each.name) if each.name else "-",
-            str(each.generation),
-            f"{each.serial:x}",
-            f"{each.not_after:%Y-%m-%d}",
-            f"revoked {each.revoked:%Y-%m-%d} ({each.reason})"
-            if each.revoked
-            else "expired"
-            if each.not_after < session.now
-            else "in force",
-        ]
-        for each in entries
-    ]
-    run.console.table(["SUBJECT", "GENERATION", "SERIAL", "NOT AFTER", "STATE"], cells)
-    if not cells:
+    documents = [document(each) for each in entries]
+    columns = {"SUBJECT": "subject", "GENERATION": "generation", "SERIAL": "serial", "NOT AFTER": "not_after"}
+    rows = [each | {"state": _state(each, session.now)} for each in documents]
+    run.console.table(columns | {"STATE": "state"}, rows)
+    if not rows:
         run.console.line("no certificates")
-    return run.report({"certificates": [document(each) for each in entries]}, workspace=session.workspace)
+    return run.report({"certificates": documents}, workspace=session.workspace)
+
+
+def _state(certificate: Mapping[str, Any], now: datetime) -> str:
+    if revoked := certificate["revoked"]:
+        return f"revoked {revoked:%Y-%m-%d} ({certificate['reason']})"
+    return "expired" if certificate["not_after"] < now else "in force"
 
 
 def _accepted(names: tuple[str, ...], session: Session) -> Plan:

@@ -3,20 +3,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 from typing import Any
-
-import click
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import counted
 from comarmor.values import dataclass
 from keymint.command_line import durations
 from keymint.command_line.options import packages_argument, prove_option
-from keymint.command_line.verb import verb
-from keymint.errors import ExitCode, KeymintError
+from keymint.command_line.verb import Report, Run, findings_if, flag, option, verb
+from keymint.errors import KeymintError
 from keymint.life.package_issuance import plan_issuance
 from keymint.life.renewal_schedule import (
     PERMISSIONS,
@@ -32,8 +30,7 @@ from keymint.life.renewal_schedule import (
 from keymint.life.terms import Threshold, iso_time
 from keymint.life.workspace_register import with_enclaves
 from keymint.names import subject_list, subject_of
-from keymint.output.report import Report, findings_if
-from keymint.run.run import Run, exit_code_of
+from keymint.run.run import exit_code_of
 from keymint.stages.package_status import packages_of, refuse_new_authorities, renewable_packages
 from keymint.stages.pipeline import Request, conduct, updated_packages
 from keymint.stages.rollover_phases import DEFERRED, STAGE, in_step
@@ -46,18 +43,19 @@ NOT_HERE = "authority-key-missing"
 
 
 @verb(dry_run=True)
-@packages_argument
-@click.option(
-    "--threshold",
-    callback=durations.threshold,
-    default="66%",
-    show_default=True,
-    metavar="PART",
-    help="Due after this part of the validity, or if it ends within this time: 66%, 30d.",
-)
-@click.option("--rekey", is_flag=True, help="Also make new keys; the way back for a package whose key is barred.")
-@prove_option
-def renew(run: Run, names: tuple[str, ...], threshold: Threshold, rekey: bool, prove: bool) -> Report:
+def renew(
+    run: Run,
+    names: tuple[str, ...] = packages_argument,
+    threshold: Threshold = option(
+        type=durations.threshold,
+        default="66%",
+        show_default=True,
+        metavar="PART",
+        help="Due after this part of the validity, or if it ends within this time: 66%, 30d.",
+    ),
+    rekey: bool = flag("Also make new keys; the way back for a package whose key is barred."),
+    prove: bool = prove_option,
+) -> Report:
     """Renew certificates and permissions that are due, for the same keys; nothing else changes.
 
     Due is what the certificate, the permissions or the revocation list of an enclave say, whichever comes first. NAME
@@ -72,30 +70,17 @@ def renew(run: Run, names: tuple[str, ...], threshold: Threshold, rekey: bool, p
       1 something that is due was not renewed
       3 a person must renew an authority, a second keystore, or make a key elsewhere; with --dry-run: something is due
     """
-    done: list[_Renewal] = []
 
-    def make_plan(session: Session) -> Plan:
+    def make_plan(session: Session) -> tuple[Plan, _Renewal]:
         packages = run.names(session, names)
         due = schedule(session, installed_terms(session, with_enclaves(session, packages, names)), threshold)
         if names:
             due = Schedule(tuple(map(Due, packages)), due.lists, due.authorities, due.following)
-        renewal = _renewal(run, session, due, rekey=rekey and not run.resumes, prove=prove, alone=not names)
-        done[:] = [renewal]
-        return renewal.plan
+        return _renewal(run, session, due, rekey=rekey and not run.resumes, prove=prove, alone=not names)
 
-    report = run.change(make_plan, lambda plan: _exit_code(run, done[-1], plan))
-    renewal = done[-1]
-    run.console.lines(_lines(run, renewal))
-    return replace(report, result=_result(renewal))
-
-
-@dataclass(frozen=True, slots=True)
-class _Renewed:
-    """A package that is renewed: why, when it ends then, and whether its key is elsewhere."""
-
-    due: Due
-    now: datetime | None
-    elsewhere: bool
+    report, renewal = run.made(make_plan, lambda plan, renewal: exit_code_of(plan) or findings_if(renewal.found))
+    run.console.lines(renewal.lines)
+    return replace(report, result=renewal.result)
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,25 +88,19 @@ class _Renewal:
     """What is due and what is done about it.
 
     Attributes:
-        schedule: what is due.
-        plan: what is done.
-        renewed: what is renewed by it.
-        unchanged: what was named, and stays as it is: a renewal would give it the dates that it has.
-        waiting: the enclaves that are due and wait for the key of an authority, which is not here.
-        waiting_lists: the revocation lists that wait for it.
-        needs_person: there is something that only a person can do.
+        result: for ``--json``.
+        lines: in words: what was done and why, what to restart, and what is next.
+        found: there is something that only a person can do, or with ``--dry-run`` something is due.
     """
 
-    schedule: Schedule
-    plan: Plan
-    renewed: tuple[_Renewed, ...]
-    unchanged: tuple[_Renewed, ...]
-    waiting: tuple[Due, ...]
-    waiting_lists: tuple[Due, ...]
-    needs_person: bool
+    result: Mapping[str, Any]
+    lines: Sequence[str]
+    found: bool
 
 
-def _renewal(run: Run, session: Session, due: Schedule, *, rekey: bool, prove: bool, alone: bool) -> _Renewal:
+def _renewal(
+    run: Run, session: Session, due: Schedule, *, rekey: bool, prove: bool, alone: bool
+) -> tuple[Plan, _Renewal]:
     """Plan what is due.
 
     Args:
@@ -164,21 +143,42 @@ def _renewal(run: Run, session: Session, due: Schedule, *, rekey: bool, prove: b
     findings = [*requests, *map(_authority_due, due.authorities)]
     plan = in_step(run.crew, session, plan.noting(*findings, *dict.fromkeys(errors)))
     after = session.after(plan)
-    done = frozenset(names)
-    taken = [each for each in due.enclaves if each.name in done]
-    rows = [_Renewed(each, _end(after, each.name), bool(session.issuance(each.name).public_key)) for each in taken]
-    changed = frozenset(updated_packages(plan))
+    rows = [
+        {
+            **_document(each, "subject"),
+            "until": _end(after, each.name),
+            "key_elsewhere": bool(session.issuance(each.name).public_key),
+        }
+        for each in due.enclaves
+        if each.name in frozenset(names)
+    ]
+    changed = updated_packages(plan)
     if due.following is not None and due.following.name in changed:  # it was named, and its dates are others now
         due = replace(due, following=None)
-    return _Renewal(
-        due,
-        plan,
-        tuple(each for each in rows if each.due.name in changed),
-        tuple(each for each in rows if each.due.name not in changed),
-        tuple(each for each in due.enclaves if each.name in waiting),
-        waiting_lists,
-        needs_person=bool(findings) or any(each.code == DEFERRED for each in plan.diagnostics),
-    )
+    new = frozenset(map(subject_of, changed))
+    result: dict[str, Any] = {
+        "renewed": [each for each in rows if each["subject"] in new],
+        "unchanged": [each for each in rows if each["subject"] not in new],
+        "waiting": [_document(each, "subject") for each in due.enclaves if each.name in waiting],
+        "lists": [_document(each, "authority") for each in due.lists],
+        "authorities_due": [
+            {"authority": each.name, "ends": each.end, "subjects": [subject_of(name) for name in each.packages]}
+            for each in due.authorities
+        ],
+        "next": _document(due.following, "subject") if due.following else None,
+    }
+    of_late = [_document(each, "authority") for each in waiting_lists]
+    lines = _lines(run, due, result, of_late, plan)
+    is_due = run.dry_run and (due.lists or waiting_lists or len(due.enclaves) > len(result["unchanged"]))
+    of_person = findings or any(each.code == DEFERRED for each in plan.diagnostics)
+    result["unchanged"] = [each["subject"] for each in result["unchanged"]]
+    return plan, _Renewal(result, lines, bool(of_person or is_due))
+
+
+def _document(due: Due, whose: str) -> dict[str, Any]:
+    """Return what is due, and why; ``whose`` is the member that has its name."""
+    name = due.name if whose == "authority" else subject_of(due.name)
+    return {whose: name, "why": due.why and due.why.what, "ends": due.why and due.why.last, "due": due.after}
 
 
 def _waiting(
@@ -233,83 +233,63 @@ def _authority_due(due: AuthorityDue) -> Diagnostic:
     return Diagnostic.warning("authority-due", message, None, f"run 'keymint authority renew {first}'")
 
 
-def _exit_code(run: Run, renewal: _Renewal, plan: Plan) -> ExitCode:
-    due_lists = (*renewal.schedule.lists, *renewal.waiting_lists)
-    is_due = run.dry_run and (due_lists or len(renewal.schedule.enclaves) > len(renewal.unchanged))
-    return exit_code_of(plan) or findings_if(renewal.needs_person or is_due)
+def _lines(
+    run: Run, due: Schedule, result: Mapping[str, Any], waiting_lists: Sequence[Mapping[str, Any]], plan: Plan
+) -> Sequence[str]:
+    """Return what was done and why, what to restart, and what is next.
 
-
-def _lines(run: Run, renewal: _Renewal) -> Sequence[str]:
-    """Return what was done and why, what to restart, and what is next."""
+    Args:
+        run: the run.
+        due: what is due.
+        result: for ``--json``, but what stays unchanged in the form of what is renewed.
+        waiting_lists: the revocation lists that wait for a signature.
+        plan: what is done.
+    """
     would = "would renew" if run.dry_run else "renewed"
     lines = [
-        f"{would} {subject_of(each.due.name)}: {_why(each.due)}; now in force until {_date(each.now)}"
-        for each in renewal.renewed
+        f"{would} {each['subject']}: {_why(each)}; now in force until {_date(each['until'])}"
+        for each in result["renewed"]
     ]
     lines += [
-        f"{subject_of(each.due.name)} stays as it is: a renewal would give it the dates that it has; "
-        f"in force until {_date(each.now)}"
-        for each in renewal.unchanged
+        f"{each['subject']} stays as it is: a renewal would give it the dates that it has; "
+        f"in force until {_date(each['until'])}"
+        for each in result["unchanged"]
     ]
-    lines += [f"waits for a signature: {subject_of(each.name)}: {_why(each)}" for each in renewal.waiting]
-    lines += [f"{would} the revocation list of {each.name}: {_why(each)}" for each in renewal.schedule.lists]
+    lines += [f"waits for a signature: {each['subject']}: {_why(each)}" for each in result["waiting"]]
+    lines += [f"{would} the revocation list of {each['authority']}: {_why(each)}" for each in result["lists"]]
     lines += [
-        f"waits for a signature: the revocation list of {each.name}: {_why(each)}" for each in renewal.waiting_lists
+        f"waits for a signature: the revocation list of {each['authority']}: {_why(each)}" for each in waiting_lists
     ]
-    own = {each.due.name for each in renewal.renewed}
-    changed = updated_packages(renewal.plan)
-    if ready := [name for name in changed if name in own]:
-        lines.append(f"deploy and restart before the old documents end: {subject_list(ready)}")
-    if others := [name for name in changed if name not in own]:
-        lines.append(f"deploy the new revocation list and restart before the old one ends: {subject_list(others)}")
-    if staged := [
-        step.package for step in renewal.plan.steps if step.stage == STAGE and step.package and step.writes()
-    ]:
-        lines.append(f"deploy install.next/ as well, which was staged by 'authority replace': {subject_list(staged)}")
-    if elsewhere := [each.due.name for each in renewal.renewed if each.elsewhere]:
+    own = {each["subject"] for each in result["renewed"]}
+    changed = [*map(subject_of, updated_packages(plan))]
+    staged = [subject_of(step.package) for step in plan.steps if step.stage == STAGE and step.package and step.writes()]
+    elsewhere = [each["subject"] for each in result["renewed"] if each["key_elsewhere"]]
+    for text, subjects in {
+        "deploy and restart before the old documents end": [each for each in changed if each in own],
+        "deploy the new revocation list and restart before the old one ends": [
+            each for each in changed if each not in own
+        ],
+        "deploy install.next/ as well, which was staged by 'authority replace'": staged,
+    }.items():
+        if subjects:
+            lines.append(f"{text}: {subject_list(subjects)}")
+    if elsewhere:
         lines.append(f"the key is not here: 'keymint bundle' carries the new documents to {subject_list(elsewhere)}")
-    following = renewal.schedule.following
-    if following is not None and following.after is not None:
-        none = "" if renewal.renewed or renewal.schedule.enclaves else "nothing is due; "
-        lines.append(f"{none}next is /{following.name}, from {iso_time(following.after)} on")
+    following = result["next"]
+    if following and following["due"]:
+        none = "" if due.enclaves else "nothing is due; "
+        lines.append(f"{none}next is {following['subject']}, from {iso_time(following['due'])} on")
     elif not lines:
         lines.append("nothing is due")
     return lines
 
 
-def _why(due: Due) -> str:
-    if due.why is None or due.after is None:
+def _why(due: Mapping[str, Any]) -> str:
+    if due["why"] is None or due["due"] is None:
         return "as you asked"
-    verb = "end" if due.why.what == PERMISSIONS else "ends"
-    return f"its {due.why.what} {verb} on {_date(due.why.last)}, so it was due from {_date(due.after)} on"
+    verb = "end" if due["why"] == PERMISSIONS else "ends"
+    return f"its {due['why']} {verb} on {_date(due['ends'])}, so it was due from {_date(due['due'])} on"
 
 
 def _date(moment: datetime | None) -> str:
     return iso_time(moment) if moment else "-"
-
-
-def _result(renewal: _Renewal) -> dict[str, Any]:
-    def dates(due: Due) -> dict[str, Any]:
-        why = due.why
-        return {"why": why.what if why else None, "ends": why.last if why else None, "due": due.after}
-
-    following = renewal.schedule.following
-    return {
-        "renewed": [
-            {
-                "subject": subject_of(each.due.name),
-                **dates(each.due),
-                "until": each.now,
-                "key_elsewhere": each.elsewhere,
-            }
-            for each in renewal.renewed
-        ],
-        "unchanged": [subject_of(each.due.name) for each in renewal.unchanged],
-        "waiting": [{"subject": subject_of(each.name), **dates(each)} for each in renewal.waiting],
-        "lists": [{"authority": each.name, **dates(each)} for each in renewal.schedule.lists],
-        "authorities_due": [
-            {"authority": each.name, "ends": each.end, "subjects": [subject_of(name) for name in each.packages]}
-            for each in renewal.schedule.authorities
-        ],
-        "next": {"subject": f"/{following.name}", **dates(following)} if following else None,
-    }

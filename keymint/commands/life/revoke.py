@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,13 +12,12 @@ import click
 from comarmor.errors import Severity
 from comarmor.text import counted
 from keymint.command_line.options import complete_package, prove_option
-from keymint.command_line.verb import verb
+from keymint.command_line.verb import Report, Run, argument, option, verb
 from keymint.errors import KeymintError
 from keymint.life.package_issuance import Revoking, plan_revocation
 from keymint.life.register import REASONS, SUPERSEDED, IssuedCertificate
 from keymint.names import package_name, subject_list, subject_of
-from keymint.output.report import Report, members
-from keymint.run.run import Run
+from keymint.output.report import members
 from keymint.stages.pipeline import Request, conduct, updated_packages
 from keymint.stages.work import InstallRequest, Work
 from keymint.store.changes import Plan
@@ -26,15 +26,16 @@ from keymint.workspace.session import Session
 
 
 @verb(dry_run=True)
-@click.argument("names", nargs=-1, required=True, metavar="NAME...", shell_complete=complete_package)
-@click.option(
-    "--reason",
-    type=click.Choice(REASONS),
-    required=True,
-    help="superseded: the same key gets a new certificate. All others: nothing is issued for this key again.",
-)
-@prove_option
-def revoke(run: Run, names: tuple[str, ...], reason: str, prove: bool) -> Report:
+def revoke(
+    run: Run,
+    names: tuple[str, ...] = argument(nargs=-1, required=True, metavar="NAME...", shell_complete=complete_package),
+    reason: str = option(
+        type=click.Choice(REASONS),
+        required=True,
+        help="superseded: the same key gets a new certificate. All others: nothing is issued for this key again.",
+    ),
+    prove: bool = prove_option,
+) -> Report:
     """Revoke the certificates of some packages.
 
     Their serial numbers go to the revocation list of the authority, which every enclave gets as crl.pem, and the
@@ -45,50 +46,49 @@ def revoke(run: Run, names: tuple[str, ...], reason: str, prove: bool) -> Report
     'keymint renew --rekey NAME' makes a new key.
     """
     chosen = tuple(dict.fromkeys(map(package_name, names)))
-    done: list[tuple[Revoking, Plan]] = []
 
-    def make_plan(session: Session) -> Plan:
+    def make_plan(session: Session) -> tuple[Plan, tuple[Revoking, Plan]]:
         revoking = plan_revocation(session, () if run.resumes else chosen, reason)
         request = Request(revoking.packages, options=InstallRequest(prove=prove), change=revoking.plan)
         plan = conduct(Work(session), request, run.crew).plan
         if revoking.skipped and not plan.writes():
             raise KeymintError.of([replace(each, severity=Severity.ERROR) for each in revoking.skipped])
-        done[:] = [(revoking, plan)]
-        return plan.noting(*revoking.skipped, *revoking.diagnostics)
+        return plan.noting(*revoking.skipped, *revoking.diagnostics), (revoking, plan)
 
-    report = run.change(make_plan)
-    ((revoking, plan),) = done
-    peers = [name for name in updated_packages(plan) if name not in chosen]
-    names_again = [name for name in updated_packages(plan) if name in chosen]
-    say = run.console.line
-    for each in revoking.certificates:
-        word = "would revoke" if run.dry_run else "revoked  "
-        say(f"{word} {subject_of(each.name)} serial {each.serial:x}, generation {each.generation}, {reason}")
-    if peers:
-        say(
+    report, (revoking, plan) = run.made(make_plan)
+    result: dict[str, Sequence[Any]] = {
+        "revoked": [document(each) for each in revoking.certificates],
+        "restart": [subject_of(name) for name in updated_packages(plan) if name not in chosen],
+        "shared": [
+            run.workspace().shown(change.folder / file)
+            for step in plan.steps
+            if step.stage == INSTALLED and not step.package
+            for change in step.changes
+            for file in change.written
+        ],
+        "issued_again": [subject_of(name) for name in updated_packages(plan) if name in chosen],
+    }
+    run.console.lines(_lines(run, revoking, result, reason))
+    return replace(report, result=result)
+
+
+def _lines(run: Run, revoking: Revoking, result: Mapping[str, Sequence[Any]], reason: str) -> Iterator[str]:
+    """Yield what was revoked, and what to deploy and restart."""
+    word = "would revoke" if run.dry_run else "revoked  "
+    for each in result["revoked"]:
+        yield f"{word} {each['subject']} serial {each['serial']}, generation {each['generation']}, {reason}"
+    if peers := result["restart"]:
+        yield (
             f"deploy and restart {counted(len(peers), 'enclave')}: {subject_list(peers)}; a node that runs keeps its "
             "old list, and until its restart accepts the revoked certificate; connections made before go on until then"
         )
-    shared = [
-        run.workspace().shown(change.folder / file)
-        for step in plan.steps
-        if step.stage == INSTALLED and not step.package
-        for change in step.changes
-        for file in change.written
-    ]
-    if shared:
-        say(f"deploy {', '.join(shared)}, and restart what reads it")
-    if names_again:
-        say(f"deploy and restart with the new certificate: {subject_list(names_again)}")
+    if shared := result["shared"]:
+        yield f"deploy {', '.join(shared)}, and restart what reads it"
+    if again := result["issued_again"]:
+        yield f"deploy and restart with the new certificate: {subject_list(again)}"
     elif reason != SUPERSEDED and revoking.packages:
-        say(f"nothing is issued for {subject_list(revoking.packages)} until 'keymint renew --rekey'")
-    result = {
-        "revoked": [document(each) for each in revoking.certificates],
-        "restart": [subject_of(name) for name in peers],
-        "shared": shared,
-        "issued_again": [subject_of(name) for name in names_again],
-    }
-    return replace(report, result=result)
+        barred = subject_list([*map(subject_of, revoking.packages)])
+        yield f"nothing is issued for {barred} until 'keymint renew --rekey'"
 
 
 def document(each: IssuedCertificate) -> dict[str, Any]:

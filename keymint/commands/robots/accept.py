@@ -7,23 +7,19 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-import click
-
 from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint.command_line.named_files import read_input
-from keymint.command_line.options import FILE
 from keymint.command_line.robot_options import folder_option, keystore_of, opened_store
-from keymint.command_line.verb import verb
+from keymint.command_line.verb import FILE, Report, Run, argument, flag, option, verb
 from keymint.errors import KeymintError, usage_error
 from keymint.examine.bundles import Acceptance, Owner
 from keymint.examine.bundles import accept as accepted
-from keymint.output.report import Report, members
+from keymint.output.report import members
 from keymint.robots import bundle as bundles
 from keymint.robots.bundle import MAX_BYTES, Bundle
 from keymint.robots.robot_keystore import Keystore
-from keymint.run.run import Run
 from keymint.store.changes import Action, Step
 
 _FINGERPRINT = lazy_regex("[0-9a-f]{64}")
@@ -40,18 +36,19 @@ class _Taken:
 
 
 @verb(workspace=False, dry_run=True)
-@click.argument("files", nargs=-1, required=True, type=FILE, metavar="BUNDLE...")
-@folder_option
-@click.option(
-    "--authority-fingerprint",
-    "fingerprints",
-    multiple=True,
-    metavar="SHA256",
-    help="Trust the authority with this key; needed the first time, and when an authority gets a new key. "
-    "'keymint authority show' prints it, where the authority is. May be repeated.",
-)
-@click.option("--new", is_flag=True, help="Take a bundle for an enclave that this robot neither has nor asked for.")
-def accept(run: Run, files: tuple[Path, ...], folder: Path | None, fingerprints: tuple[str, ...], new: bool) -> Report:
+def accept(
+    run: Run,
+    files: tuple[Path, ...] = argument(nargs=-1, required=True, type=FILE, metavar="BUNDLE..."),
+    folder: Path | None = folder_option,
+    fingerprints: tuple[str, ...] = option(
+        "--authority-fingerprint",
+        multiple=True,
+        metavar="SHA256",
+        help="Trust the authority with this key; needed the first time, and when an authority gets a new key. "
+        "'keymint authority show' prints it, where the authority is. May be repeated.",
+    ),
+    new: bool = flag("Take a bundle for an enclave that this robot neither has nor asked for."),
+) -> Report:
     """Take bundles that an authority made for this robot ('keymint sign', 'keymint bundle'); each is for one enclave.
 
     Needs no workspace. A bundle is taken if an authority signed it that this keystore trusts, if this robot has its
@@ -61,11 +58,10 @@ def accept(run: Run, files: tuple[Path, ...], folder: Path | None, fingerprints:
     owner = Owner(frozenset(map(fingerprint, fingerprints)), new=new)
     read = [(file, bundles.read(read_input(run, file, MAX_BYTES), Origin(str(file)))) for file in dict.fromkeys(files)]
     _require_one_each(read)
-    there = keystore.read()
-    taken = [_taken(run, there, file, each, owner) for file, each in read]  # what is refused creates no keystore
+    taken = [_taken(run, keystore, file, each, owner) for file, each in read]  # what is refused creates no keystore
     if not run.dry_run:
         with opened_store(run, keystore) as store:
-            there = keystore.read()
+            there = keystore.read_again()
             taken = [_taken(run, there, file, each, owner) for file, each in read]
             answered = [there.forget(each.bundle.manifest.name) for each in taken if each.acceptance.answered]
             store.begin(run.intent())
@@ -77,7 +73,7 @@ def accept(run: Run, files: tuple[Path, ...], folder: Path | None, fingerprints:
         run.console.lines(f"restart the processes of {each}: they read their files when they start" for each in restart)
     notes = [note for each in taken for note in each.acceptance.notes]
     result = {
-        "keystore": keystore.typed,
+        "keystore": keystore.shown,
         "enclaves": [_document(each) for each in taken],
         "restart": restart,
     }

@@ -3,11 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-
-import click
+from typing import Any
 
 from comarmor.patterns.glob import matches, parse
 from comarmor.patterns.tokens import SPECIAL
@@ -15,48 +14,54 @@ from comarmor.text import did_you_mean
 from keymint.api import Phase
 from keymint.authority.authorities import MintedAuthority, plan_authorities
 from keymint.authority.rollover import phase_of
-from keymint.command_line.bundle_files import bundle_output_option, require_output, write_bundles
+from keymint.command_line.named_files import is_folder, show_written, write_outputs
 from keymint.command_line.options import complete_package
-from keymint.command_line.verb import verb
-from keymint.errors import KeymintError
+from keymint.command_line.verb import PATH, Report, Run, argument, flag, option, verb
+from keymint.errors import KeymintError, usage_error
 from keymint.examine.keystore import of_enclaves
 from keymint.life.workspace_register import withdrawn
 from keymint.names import package_name, subject_of
-from keymint.output.report import Report
+from keymint.output.report import members
 from keymint.robots.bundle_making import MadeBundle, plan_bundles
-from keymint.run.run import Run
 from keymint.stages.install import is_current, would_stay
 from keymint.stages.rollover_phases import require_staged, session_ahead
 from keymint.store.changes import Plan
 from keymint.workspace.installed_enclaves import enclave_names
 from keymint.workspace.session import Session
 
+bundle_output_option = option(
+    "-o",
+    type=PATH,
+    metavar="PATH",
+    help="File of the bundle, or folder of several, which are named NAME.bundle [the current directory].",
+)
+
 
 @verb(dry_run=True)
-@click.argument("names", nargs=-1, required=True, metavar="NAME|PATTERN...", shell_complete=complete_package)
-@bundle_output_option
-@click.option(
-    "--staged",
-    is_flag=True,
-    help="Of the second keystore, which 'keymint authority replace' staged; accept it into a copy of the keystore.",
-)
-def bundle(run: Run, names: tuple[str, ...], output: Path | None, staged: bool = False) -> Report:
+def bundle(
+    run: Run,
+    names: tuple[str, ...] = argument(
+        nargs=-1, required=True, metavar="NAME|PATTERN...", shell_complete=complete_package
+    ),
+    output: Path | None = bundle_output_option,
+    staged: bool = flag(
+        "Of the second keystore, which 'keymint authority replace' staged; accept it into a copy of the keystore."
+    ),
+) -> Report:
     """Write installed enclaves into bundles, one for each, which robots take with 'keymint accept'.
 
     A bundle is signed by the authority of the enclave's certificate, and numbered, so that a robot never goes back. It
     has the private key if this workspace made it; then keep it as secret as the key. NAME is an installed package, and
     PATTERN matches the names of several: '/robot1/*'.
     """
-    made: list[MadeBundle] = []
 
-    def make_plan(session: Session) -> Plan:
+    def make_plan(session: Session) -> tuple[Plan, Sequence[MadeBundle]]:
         chosen = _chosen(session, names)
         require_output(run, output, len(chosen))
         ahead, authorities = _second_keystore(run, session) if staged else (None, _in_force(session, chosen))
-        plan, made[:] = plan_bundles(session, chosen, authorities, ahead)
-        return plan
+        return plan_bundles(session, chosen, authorities, ahead)
 
-    report = run.change(make_plan)
+    report, made = run.made(make_plan)
     return replace(report, steps=(), result={"bundles": write_bundles(run, output, made)})
 
 
@@ -130,3 +135,46 @@ def _chosen(session: Session, given: tuple[str, ...]) -> dict[str, None]:
             )
         chosen.update(dict.fromkeys(found))
     return chosen
+
+
+def require_output(run: Run, output: Path | None, number: int) -> None:
+    """Require that several bundles go to a folder.
+
+    Raises:
+        KeymintError: they do not; a usage error.
+    """
+    if number > 1 and output is not None and not is_folder(run, output):
+        raise usage_error(f"{output} is no folder, and there are {number} bundles", "make the folder, or name another")
+
+
+def write_bundles(run: Run, output: Path | None, made: Sequence[MadeBundle]) -> list[dict[str, Any]]:
+    """Write bundles, each complete or not at all, and say what they are.
+
+    Returns:
+        Each bundle for ``--json``.
+
+    Raises:
+        KeymintError: the system refuses.
+    """
+    documents = []
+    for each in made:
+        file = f"{each.manifest.name.replace('/', '.')}.bundle"
+        target = Path(file) if output is None else output / file if is_folder(run, output) else output
+        show_written(run, target, write_outputs(run, target, each.content, secret=each.secret))
+        if each.secret:
+            run.console.line(
+                f"  it has the private key of {each.manifest.enclave}: whoever reads it can act as this enclave"
+            )
+        documents.append(
+            {
+                "enclave": each.manifest.enclave,
+                "file": str(target),
+                "has_private_key": each.secret,
+                **members(each.manifest, "key", "authority", "generation", "issue", "revocations", "not_after"),
+            }
+        )
+    run.console.lines(
+        f"on a robot that has nothing of this authority yet: keymint accept --authority-fingerprint {authority}"
+        for authority in dict.fromkeys(each.manifest.authority for each in made)
+    )
+    return documents

@@ -7,21 +7,21 @@ import click
 
 from comarmor.text import did_you_mean
 from keymint.command_line.options import complete_package
-from keymint.command_line.verb import verb
+from keymint.command_line.verb import Report, Run, argument, option, verb
 from keymint.errors import KeymintError
 from keymint.host.shells import SHELLS, exports
 from keymint.names import package_name, subject_of
-from keymint.output.report import Report
-from keymint.run.run import Run
 from keymint.stages.environment_scripts import enclave_environment
 from keymint.workspace.installed_enclaves import enclave_names
 from keymint.workspace.session import Session
 
 
 @verb()
-@click.argument("enclave", shell_complete=complete_package)
-@click.option("--shell", type=click.Choice(tuple(SHELLS)), default="bash", show_default=True, help="Syntax to print.")
-def env(run: Run, enclave: str, shell: str) -> Report:
+def env(
+    run: Run,
+    enclave: str = argument(shell_complete=complete_package),
+    shell: str = option(type=click.Choice(tuple(SHELLS)), default="bash", show_default=True, help="Syntax to print."),
+) -> Report:
     """Print the environment variables with which a process uses an installed ENCLAVE, and no other.
 
     \b

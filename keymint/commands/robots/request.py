@@ -6,28 +6,24 @@ from __future__ import annotations
 import contextlib
 import secrets
 from collections.abc import Mapping
-from dataclasses import field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import click
 
 from comarmor.errors import Origin
-from comarmor.values import dataclass
 from keymint.api import KeySpec
-from keymint.command_line.named_files import show_written, write_outputs
-from keymint.command_line.options import FILE
-from keymint.command_line.robot_options import RobotKeystore, folder_option, keystore_of, opened_store
-from keymint.command_line.verb import verb
+from keymint.command_line.named_files import deliver
+from keymint.command_line.robot_options import folder_option, keystore_of, opened_store
+from keymint.command_line.verb import FILE, Report, Run, argument, flag, option, verb
 from keymint.errors import KeymintError
 from keymint.names import package_name, subject_of
-from keymint.output.report import Report
 from keymint.pki import certificates, keys
 from keymint.pki.distinguished_names import common_name
 from keymint.pki.tokens.pin_sources import VARIABLE as PIN_VARIABLE
 from keymint.robots import certification_request as requests
 from keymint.robots.bundle import CERTIFICATE, KEY
 from keymint.robots.robot_keystore import Keystore
-from keymint.run.run import Run
 
 _KINDS: Mapping[str, KeySpec] = {
     "P-256": KeySpec("ec", curve="SECP256R1"),
@@ -37,33 +33,20 @@ _KINDS: Mapping[str, KeySpec] = {
 
 
 @verb(workspace=False)
-@click.argument("name")
-@click.option("-o", "--output", type=FILE, metavar="FILE", help="The request [NAME.request.pem].")
-@folder_option
-@click.option(
-    "--rekey", is_flag=True, help="Make a new key for an enclave that has one; the old one signs the request."
-)
-@click.option("--discard", is_flag=True, help="Discard a request that waits for its answer, with its key.")
-@click.option(
-    "--key-type", type=click.Choice(list(_KINDS)), default="P-256", show_default=True, help="Kind of a new key."
-)
-@click.option("--pkcs11", "uri", metavar="URI", default="", help="The key lies in a token: its URI (RFC 7512).")
-@click.option(
-    "--pin-env",
-    metavar="VARIABLE",
-    default="",
-    help=f"Environment variable of the token's PIN [{PIN_VARIABLE}].",
-)
 def request(
     run: Run,
-    name: str,
-    output: Path | None,
-    folder: Path | None,
-    rekey: bool,
-    discard: bool,
-    key_type: str,
-    uri: str,
-    pin_env: str,
+    name: str = argument(),
+    output: Path | None = option("-o", type=FILE, metavar="FILE", help="The request [NAME.request.pem]."),
+    folder: Path | None = folder_option,
+    rekey: bool = flag("Make a new key for an enclave that has one; the old one signs the request."),
+    discard: bool = flag("Discard a request that waits for its answer, with its key."),
+    key_type: str = option(
+        type=click.Choice(list(_KINDS)), default="P-256", show_default=True, help="Kind of a new key."
+    ),
+    uri: str = option("--pkcs11", metavar="URI", default="", help="The key lies in a token: its URI (RFC 7512)."),
+    pin_env: str = option(
+        metavar="VARIABLE", default="", help=f"Environment variable of the token's PIN [{PIN_VARIABLE}]."
+    ),
 ) -> Report:
     """Ask for a certificate, on the robot: make a key that never leaves it, and a request to carry to the authority.
 
@@ -82,55 +65,45 @@ def request(
     keystore = keystore_of(run, folder)
     kind = replace(_KINDS[key_type], uri=uri, pin_env=pin_env)
     with opened_store(run, keystore) as store, contextlib.closing(run.tokens):
-        there = keystore.read()
+        there = keystore.read_again()
         content = None if discard else there.request(name)
         if content is None:
-            made = _made(run, there, keystore, name, rekey=rekey, kind=kind)
-            content = made.request
+            content, new_key = _made(run, there, name, rekey=rekey, kind=kind)
             store.begin(run.intent())
-            store.commit(store.stage([there.wait(name, content, made.new_key)]))
-            there = keystore.read()
+            store.commit(store.stage([there.wait(name, content, new_key)]))
+            there = keystore.read_again()
         elif rekey and not uri and (waiting := there.pending(name)) is not None and not waiting.key:
             raise KeymintError(
                 f"a request of {subject_of(name)} for the key that it has waits for its answer",
-                where=Origin(keystore.typed),
+                where=Origin(keystore.shown),
                 help="carry it to the authority, or say --discard as well",
                 code="request-waits",
             )
-    asked = requests.read(content, Origin(keystore.typed))
+    asked = requests.read(content, Origin(keystore.shown))
     target = output or Path(f"{name.replace('/', '.')}.request.pem")
-    written = write_outputs(run, target, content)
-    show_written(run, target, written)
-    vouched = asked.signer or asked.fingerprint == _certified(there, keystore, name)
+    delivered = deliver(run, target, content)
+    vouched = asked.signer or asked.fingerprint == _certified(there, name)
     run.console.line(f"fingerprint of the key: {asked.fingerprint}")
     told = "" if vouched else f" --fingerprint {subject_of(name)}={asked.fingerprint}"
     run.console.line(f"at the authority:       keymint sign {target.name}{told}")
     run.console.line("with its answer:        keymint accept BUNDLE")
     result = {
         "enclave": subject_of(name), "fingerprint": asked.fingerprint, "signed_by_current_key": bool(vouched),
-        "file": str(target), "written": written, "keystore": keystore.typed,
+        **delivered, "keystore": keystore.shown,
     }  # fmt: skip
     return run.report(result)
 
 
-@dataclass(frozen=True, slots=True)
-class _MadeRequest:
-    """A request, and its private key (PEM) unless the enclave or a token has it."""
-
-    request: bytes
-    new_key: bytes = field(repr=False)
-
-
-def _certified(there: Keystore, keystore: RobotKeystore, name: str) -> str:
+def _certified(there: Keystore, name: str) -> str:
     """Return the fingerprint of the key that an enclave's certificate is for; empty if it has none."""
     content = there.installed(name).get(CERTIFICATE)
     if content is None:
         return ""
-    return certificates.fingerprint(certificates.load(content, Origin(f"{keystore.typed}/…/{name}")))
+    return certificates.fingerprint(certificates.load(content, Origin(f"{there.shown}/…/{name}")))
 
 
-def _made(run: Run, there: Keystore, keystore: RobotKeystore, name: str, *, rekey: bool, kind: KeySpec) -> _MadeRequest:
-    """Return a new request of an enclave.
+def _made(run: Run, there: Keystore, name: str, *, rekey: bool, kind: KeySpec) -> tuple[bytes, bytes]:
+    """Return a new request of an enclave, and its private key (PEM) unless the enclave or a token has it.
 
     Raises:
         KeymintError: the key or the certificate that the enclave has cannot be used; it has another key than the one to
@@ -139,29 +112,29 @@ def _made(run: Run, there: Keystore, keystore: RobotKeystore, name: str, *, reke
     """
     files = there.installed(name)
     nonce, claimed = secrets.token_hex(requests.NONCE_BYTES), common_name(subject_of(name))
-    place = f"{keystore.typed}/…/{name}"
+    place = f"{there.shown}/…/{name}"
     present = keys.from_pem(files[KEY], None, Origin(f"{place}/{KEY}")) if KEY in files else None
     token = _in_token(run, kind) if kind.uri else None
-    certified = _certified(there, keystore, name)
+    certified = _certified(there, name)
     if certified and not rekey and (present is None if token is None else keys.fingerprint(token) != certified):
         raise KeymintError(
             f"the key of {subject_of(name)} is in no file of the keystore"
             if token is None
             else f"the token has another key than {subject_of(name)} has",
-            where=Origin(keystore.typed),
+            where=Origin(there.shown),
             help="name it with --pkcs11 if it lies in a token, or get a new one with --rekey",
             code="key-elsewhere",
         )
     if present is not None and token is None and not rekey:
-        return _MadeRequest(requests.make(claimed, present, nonce), b"")
+        return requests.make(claimed, present, nonce), b""
     current = None
     if present is not None and CERTIFICATE in files:
         current = certificates.Issuer(certificates.load(files[CERTIFICATE], Origin(f"{place}/{CERTIFICATE}")), present)
     if token is not None:
         own = current is not None and keys.matches(token, current.certificate)
-        return _MadeRequest(requests.make(claimed, token, nonce, None if own else current), b"")
+        return requests.make(claimed, token, nonce, None if own else current), b""
     key = keys.generate(kind)
-    return _MadeRequest(requests.make(claimed, key, nonce, current), keys.to_pem(key))
+    return requests.make(claimed, key, nonce, current), keys.to_pem(key)
 
 
 def _in_token(run: Run, spec: KeySpec) -> keys.PrivateKey:

@@ -3,26 +3,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import click
-
 from comarmor.errors import Origin
 from keymint.authority.authorities import plan_authorities
-from keymint.command_line.bundle_files import bundle_output_option, require_output, write_bundles
 from keymint.command_line.named_files import read_input
-from keymint.command_line.options import FILE, prove_option
-from keymint.command_line.verb import verb
+from keymint.command_line.options import prove_option
+from keymint.command_line.verb import FILE, Report, Run, argument, option, verb
 from keymint.commands.robots.accept import fingerprint
+from keymint.commands.robots.bundle import bundle_output_option, require_output, write_bundles
 from keymint.errors import usage_error
 from keymint.names import package_name
-from keymint.output.report import Report
 from keymint.robots import certification_request as requests
 from keymint.robots.bundle_making import MadeBundle, plan_bundles
 from keymint.robots.request_decisions import Given, plan_requests
-from keymint.run.run import Run
 from keymint.stages.pipeline import Request, conduct
 from keymint.stages.work import InstallRequest, Work
 from keymint.store.changes import Plan
@@ -30,17 +26,18 @@ from keymint.workspace.session import Session
 
 
 @verb(dry_run=True)
-@click.argument("files", nargs=-1, required=True, type=FILE, metavar="REQUEST...")
-@click.option(
-    "--fingerprint",
-    "typed",
-    multiple=True,
-    metavar="NAME=SHA256",
-    help="The fingerprint of the key, as read at the robot; 'keymint request' prints it there. May be repeated.",
-)
-@bundle_output_option
-@prove_option
-def sign(run: Run, files: tuple[Path, ...], typed: tuple[str, ...], output: Path | None, prove: bool) -> Report:
+def sign(
+    run: Run,
+    files: tuple[Path, ...] = argument(nargs=-1, required=True, type=FILE, metavar="REQUEST..."),
+    typed: tuple[str, ...] = option(
+        "--fingerprint",
+        multiple=True,
+        metavar="NAME=SHA256",
+        help="The fingerprint of the key, as read at the robot; 'keymint request' prints it there. May be repeated.",
+    ),
+    output: Path | None = bundle_output_option,
+    prove: bool = prove_option,
+) -> Report:
     """Certify keys that robots made ('keymint request'), and write the bundles that they take ('keymint accept').
 
     Only the public key is taken from a request; the name, the validity and the rights are those of the package here.
@@ -53,17 +50,16 @@ def sign(run: Run, files: tuple[Path, ...], typed: tuple[str, ...], output: Path
         for file in files
     ]
     require_output(run, output, len(given))
-    made: list[MadeBundle] = []
 
-    def make_plan(session: Session) -> Plan:
+    def make_plan(session: Session) -> tuple[Plan, Sequence[MadeBundle]]:
         decided, chosen = plan_requests(session, given, fingerprints)
         request = Request(list(chosen), options=InstallRequest(prove=prove), change=decided)
         work = conduct(Work(session), request, run.crew)
         _, authorities = plan_authorities(work.session)
-        numbered, made[:] = plan_bundles(work.session, chosen, authorities)
-        return work.then(numbered).plan
+        numbered, made = plan_bundles(work.session, chosen, authorities)
+        return work.then(numbered).plan, made
 
-    report = run.change(make_plan)
+    report, made = run.made(make_plan)
     return replace(report, result={"bundles": write_bundles(run, output, made)})
 
 

@@ -13,17 +13,10 @@ from comarmor.errors import Diagnostic
 from keymint.analysis.lint.attachment_mistakes import attachment_mistakes
 from keymint.api import BuildOptions, LoadedPolicy
 from keymint.command_line.named_files import read_input
-from keymint.command_line.options import (
-    DocumentOptions,
-    document_options,
-    packages_argument,
-    renew_option,
-)
-from keymint.command_line.verb import verb
+from keymint.command_line.options import DocumentOptions, document_options, packages_argument, renew_option
+from keymint.command_line.verb import Report, Run, flag, verb
 from keymint.errors import KeymintError
 from keymint.names import subject_of
-from keymint.output.report import Report
-from keymint.run.run import Run
 from keymint.stages.create import policy_changed
 from keymint.stages.pipeline import Request, conduct
 from keymint.stages.work import InstallRequest, Work
@@ -34,16 +27,12 @@ from keymint.workspace.session import Session
 
 
 @verb(jobs=True, dry_run=True, executor=True)
-@packages_argument
-@click.option("-f", "--force", is_flag=True, help="Rebuild everything; discard manual edits.")
-@renew_option
-@document_options
 def build(
     run: Run,
-    names: tuple[str, ...],
-    force: bool,
-    renew: bool,
-    document_options: DocumentOptions,
+    names: tuple[str, ...] = packages_argument,
+    force: bool = flag("Rebuild everything; discard manual edits.", "-f"),
+    renew: bool = renew_option,
+    document_options: DocumentOptions = document_options,
 ) -> Report:
     """Build unsigned documents in build/, and create a key for each subject that has none.
 

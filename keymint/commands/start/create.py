@@ -3,15 +3,11 @@
 
 from __future__ import annotations
 
-import click
-
 from keymint.command_line.accepted_packages import AcceptanceOptions, accept, acceptance_options
 from keymint.command_line.options import valid_for_option
-from keymint.command_line.verb import verb
+from keymint.command_line.verb import Report, Run, argument, flag, verb
 from keymint.errors import usage_error
 from keymint.names import no_subject, package_name
-from keymint.output.report import Report
-from keymint.run.run import Run
 from keymint.stages.create import packages_to_create
 from keymint.stages.pipeline import CREATE, Request, conduct
 from keymint.stages.work import InstallRequest, Work
@@ -22,18 +18,13 @@ from keymint.workspace.shipped_profiles import plan_release
 
 
 @verb(jobs=True, dry_run=True)
-@click.argument("names", nargs=-1, metavar="[NAME]...")
-@click.option("--all", "all_subjects", is_flag=True, help="Create every subject that the policy names exactly.")
-@click.option("-f", "--force", is_flag=True, help="Replace the rules of a package even if they were edited manually.")
-@valid_for_option
-@acceptance_options
 def create(
     run: Run,
-    names: tuple[str, ...],
-    all_subjects: bool,
-    force: bool,
-    valid_for: str | None,
-    acceptance: AcceptanceOptions,
+    names: tuple[str, ...] = argument(nargs=-1, metavar="[NAME]..."),
+    all_subjects: bool = flag("Create every subject that the policy names exactly.", "--all"),
+    force: bool = flag("Replace the rules of a package even if they were edited manually.", "-f"),
+    valid_for: str | None = valid_for_option,
+    acceptance: AcceptanceOptions = acceptance_options,
 ) -> Report:
     """Create source packages in src/, one per subject, or update their rules from the policy.
 

@@ -3,30 +3,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
 import click
 
 from comarmor.errors import Origin
+from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint.api import Bootstrap, WorkspaceProfile
+from keymint.api.plugin_loader import Plugins
 from keymint.authority.authorities import plan_authorities
-from keymint.command_line.build_type_names import build_types_of, transports_of
-from keymint.command_line.options import (
-    DEFAULT_DISTRO,
-    DEFAULT_PROFILE_TYPE,
-    PATH,
-    PluginOption,
-    distro_option,
-    option_group,
-    valid_for_option,
-)
-from keymint.command_line.verb import verb
-from keymint.errors import KeymintError
-from keymint.output.report import Report
-from keymint.run.run import Run
+from keymint.command_line.options import DEFAULT_DISTRO, DEFAULT_PROFILE_TYPE, distro_option, valid_for_option
+from keymint.command_line.verb import PATH, Report, Run, argument, option, option_group, plugin, verb
+from keymint.errors import KeymintError, usage_error
 from keymint.stages.work import Work
 from keymint.stages.workspace_start import plan_init, policy_path, refuse_unsupported
 from keymint.store.changes import Action, Plan, Step
@@ -39,61 +30,41 @@ from keymint.workspace.workspace import PROFILE_MARKER, Workspace
 class ProfileOptions:
     """What shapes the profile of a new workspace; None for an option that was not given."""
 
-    profile_type: str | None
-    distro: str | None
-    domain: int | None
-    layout: str | None
-    subject_format: str | None
-    transports: tuple[str, ...] = ()
-    valid_for: str | None = None
-
-
-profile_options = option_group(
-    "profile",
-    ProfileOptions,
-    click.option(
-        "--profile-type",
-        cls=PluginOption,
-        group="keymint.profile_types",
-        help=f"Plugin that makes the profile; 'keymint plugins' lists them [{DEFAULT_PROFILE_TYPE}].",
-    ),
-    distro_option,
-    click.option(
+    profile_type: str | None = plugin(
+        "keymint.profile_types",
+        f"Plugin that makes the profile; 'keymint plugins' lists them [{DEFAULT_PROFILE_TYPE}].",
+    )
+    distro: str | None = distro_option
+    transports: tuple[str, ...] = option(
         "--transport",
-        "transports",
         multiple=True,
         metavar="NAME",
         help="Transport to provision for; may be repeated [that of the profile type].",
-    ),
-    click.option("--domain", type=click.IntRange(0, 230), metavar="N", help="Domain id [0]."),
-    click.option(
-        "--layout",
+    )
+    domain: int | None = option(type=click.IntRange(0, 230), metavar="N", help="Domain id [0].")
+    layout: str | None = option(
         metavar="NAME",
         help="Layout of install/, of those that the transport has [the one that the distribution reads].",
-    ),
-    click.option(
-        "--subject-format",
-        metavar="NAME",
-        help="Form of subject names in certificates, of those that the profile type has [unique].",
-    ),
-    valid_for_option,
-)
+    )
+    subject_format: str | None = option(
+        metavar="NAME", help="Form of subject names in certificates, of those that the profile type has [unique]."
+    )
+    valid_for: str | None = valid_for_option
+
+
+profile_options = option_group(ProfileOptions)
 
 
 @verb(jobs=True, dry_run=True)
-@click.argument("folder", metavar="[WORKSPACE]", required=False, type=PATH)
-@click.option(
-    "--policy",
-    type=PATH,
-    metavar="PATH",
-    help="ComArmor file or directory that becomes the policy of the workspace [the talker/listener example].",
-)
-@profile_options
 def init(
     run: Run,
-    folder: Path | None,
-    policy: Path | None,
-    profile: ProfileOptions,
+    folder: Path | None = argument(metavar="[WORKSPACE]", required=False, type=PATH),
+    policy: Path | None = option(
+        type=PATH,
+        metavar="PATH",
+        help="ComArmor file or directory that becomes the policy of the workspace [the talker/listener example].",
+    ),
+    profile: ProfileOptions = profile_options,
 ) -> Report:
     """Create a workspace: a profile with conservative defaults, and two certificate authorities.
 
@@ -185,13 +156,13 @@ def refuse_contradiction(run: Run, workspace: Workspace, given: ProfileOptions, 
     if given.distro is not None:
         profile_type.library(given.distro)  # an unknown distribution is a usage error, as for a new workspace
     present = {"profile-type": profile.profile_type, **profile_type.settings(profile)}
-    for option, value in values.items():
-        if present.get(option) != value:
-            places = [place for place in profile_type.PLACES.get(option, ()) if place in profile.files]
+    for setting, value in values.items():
+        if present.get(setting) != value:
+            places = [place for place in profile_type.PLACES.get(setting, ()) if place in profile.files]
             places = places or [PROFILE_MARKER]
-            has = f"has {option} {present[option]!r}" if option in present else f"exists and keeps its {option}"
+            has = f"has {setting} {present[setting]!r}" if setting in present else f"exists and keeps its {setting}"
             raise KeymintError(
-                f"the workspace {has}, so --{option} {value} cannot take effect",
+                f"the workspace {has}, so --{setting} {value} cannot take effect",
                 where=workspace.origin(workspace.profile / places[0]),
                 help=f"change it in {' and '.join(workspace.shown(workspace.profile / place) for place in places)}, "
                 "or name another workspace",
@@ -213,3 +184,40 @@ def _refuse_other_transports(run: Run, workspace: Workspace, profile: WorkspaceP
         "which names what else is missing; or name another workspace",
         code="workspace-exists",
     )
+
+
+def build_types_of(plugins: Plugins, transports: Sequence[str]) -> tuple[str, ...]:
+    """Return the build types of transports, in the order of the command line, each once.
+
+    Raises:
+        KeymintError: no installed build type is for a transport, or several are.
+    """
+    known = _by_transport(plugins)
+    for transport in transports:
+        if transport not in known:
+            choice = f"installed are {', '.join(known)}"
+            raise usage_error(f"no build type for the transport {transport!r} is installed",
+                              did_you_mean(transport, known, choice))  # fmt: skip
+        if len(known[transport]) > 1:
+            several = " and ".join(known[transport])
+            raise usage_error(
+                f"the transport {transport!r} has several build types: {several}", "uninstall all but one"
+            )
+    return tuple(dict.fromkeys(known[transport][0] for transport in transports))
+
+
+def transports_of(plugins: Plugins, build_types: Iterable[str]) -> tuple[str, ...]:
+    """Return the transports of build types; that of a build type which is not installed is its own name."""
+    known = {names[0]: transport for transport, names in _by_transport(plugins).items()}
+    return tuple(known.get(name, name) for name in build_types)
+
+
+def _by_transport(plugins: Plugins) -> Mapping[str, Sequence[str]]:
+    """Return the names of build types by transport; ``keymint plugins`` reports those that fail to load."""
+    known: dict[str, list[str]] = {}
+    for name in plugins.names("keymint.build_types"):
+        try:
+            known.setdefault(plugins.build_type(name).TRANSPORT, []).append(name)
+        except KeymintError:
+            continue
+    return dict(sorted(known.items()))

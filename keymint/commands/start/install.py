@@ -9,11 +9,10 @@ import click
 
 from comarmor.errors import Diagnostic
 from keymint.command_line.options import install_request, packages_argument, standard_only_option
-from keymint.command_line.verb import verb
+from keymint.command_line.verb import Report, Run, findings_exit, verb
 from keymint.commands.start.build import no_packages
 from keymint.errors import ExitCode
-from keymint.output.report import Report, findings_exit
-from keymint.run.run import Run, exit_code_of
+from keymint.run.run import exit_code_of
 from keymint.stages.create import UNCREATED, policy_changed, subjects_without_package
 from keymint.stages.pipeline import INSTALL, Request, conduct
 from keymint.stages.work import InstallRequest, Work
@@ -23,10 +22,11 @@ from keymint.workspace.session import Session
 
 
 @verb(jobs=True, dry_run=True)
-@packages_argument
-@standard_only_option
-@install_request
-def install(run: Run, names: tuple[str, ...], request: InstallRequest) -> Report:
+def install(
+    run: Run,
+    names: tuple[str, ...] = packages_argument,
+    request: InstallRequest = install_request(allow_vendor_specific=standard_only_option),
+) -> Report:
     """Sign the documents in build/ and stage them in install/, one complete enclave per subject.
 
     Nothing is installed unless each document is proven to permit exactly what the policy allows, for all names; see

@@ -6,24 +6,19 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import click
-
 from comarmor.errors import Origin
 from keymint.command_line.accepted_packages import AcceptanceOptions, accept, acceptance_options
 from keymint.command_line.options import (
     DEFAULT_PROFILE_TYPE,
-    PATH,
     DocumentOptions,
     document_options,
     install_request,
     renew_option,
 )
-from keymint.command_line.verb import verb
+from keymint.command_line.verb import PATH, Report, Run, argument, flag, verb
 from keymint.commands.start.build import build_options, policy_slips, unknown_hints
 from keymint.commands.start.init import ProfileOptions, bootstrap_request, profile_options, refuse_contradiction
 from keymint.names import no_subject
-from keymint.output.report import Report
-from keymint.run.run import Run
 from keymint.stages.create import packages_to_create
 from keymint.stages.pipeline import CREATE, INSTALL, Request, conduct
 from keymint.stages.work import InstallRequest, Work
@@ -36,20 +31,15 @@ from keymint.workspace.shipped_profiles import plan_release
 
 
 @verb(jobs=True, dry_run=True, executor=True)
-@click.argument("policy", type=PATH)
-@profile_options
-@click.option("-f", "--force", is_flag=True, help="Discard manual edits of packages' rules and of built documents.")
-@renew_option
-@document_options
-@install_request
-@acceptance_options
 def provision(
     run: Run,
-    policy: Path,
-    profile: ProfileOptions,
-    document_options: DocumentOptions,
-    request: InstallRequest,
-    acceptance: AcceptanceOptions,
+    policy: Path = argument(type=PATH),
+    profile: ProfileOptions = profile_options,
+    force: bool = flag("Discard manual edits of packages' rules and of built documents.", "-f"),
+    renew: bool = renew_option,
+    document_options: DocumentOptions = document_options,
+    request: InstallRequest = install_request(),
+    acceptance: AcceptanceOptions = acceptance_options,
 ) -> Report:
     """Turn a ComArmor POLICY into a keystore in one step: init, create --all, build and install.
 
@@ -59,7 +49,9 @@ def provision(
     """
     workspace = run.workspace_at(None)
     options = build_options(run, document_options)
-    request = replace(request, build=options, allow_vendor_specific=options.allow_vendor_specific)
+    request = replace(
+        request, force=force, renew=renew, build=options, allow_vendor_specific=options.allow_vendor_specific
+    )
     bootstrap = bootstrap_request(run, workspace, policy, profile)
     if workspace.exists():
         refuse_contradiction(run, workspace, profile)

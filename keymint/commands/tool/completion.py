@@ -6,14 +6,11 @@ from __future__ import annotations
 import click
 from click.shell_completion import get_completion_class
 
-from keymint.command_line.verb import verb
-from keymint.output.report import Report
-from keymint.run.run import Run
+from keymint.command_line.verb import Report, Run, argument, verb
 
 
 @verb(workspace=False)
-@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
-def completion(run: Run, shell: str) -> Report:
+def completion(run: Run, shell: str = argument(type=click.Choice(["bash", "zsh", "fish"]))) -> Report:
     """Print the completion script for SHELL.
 
     \b

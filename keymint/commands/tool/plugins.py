@@ -3,17 +3,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
 from comarmor.errors import Diagnostic
 from comarmor.text import quoted
-from comarmor.xml.package_folders import SEARCH_PATH, InstalledPackages, ShippingPackage
+from comarmor.xml.package_folders import SEARCH_PATH, InstalledPackages
 from comarmor.xml.sandboxed_paths import path_text
-from keymint.command_line.verb import verb
+from keymint.command_line.verb import Report, Run, verb
 from keymint.errors import ExitCode, KeymintError
-from keymint.output.report import Report
-from keymint.run.run import Run
 
 
 @verb(workspace=False)
@@ -23,7 +22,7 @@ def plugins(run: Run) -> Report:
     Then the ROS packages of AMENT_PREFIX_PATH that ship profiles, which policies include as package://PACKAGE/FILE.xml.
     """
     diagnostics: list[Diagnostic] = []
-    listed = []
+    listed: list[dict[str, Any]] = []
     for info in run.plugins.infos:
         usable = True
         try:
@@ -31,39 +30,32 @@ def plugins(run: Run) -> Report:
         except KeymintError as error:
             usable = False
             diagnostics += [diagnostic for diagnostic in error.diagnostics if diagnostic not in diagnostics]
-        listed.append((info, usable))
-    run.console.table(
-        ["GROUP", "NAME", "VERSION", "DISTRIBUTION", "LOADS", "FROM"],
-        [
-            [info.group, info.name, info.version, info.distribution, "yes" if usable else "no", info.location]
-            for info, usable in listed
-        ],
-    )
+        listed.append(asdict(info) | {"usable": usable})
+    columns = {"GROUP": "group", "NAME": "name", "VERSION": "version", "DISTRIBUTION": "distribution"}
+    run.console.table(columns | {"LOADS": "usable", "FROM": "location"}, listed)
     installed = InstalledPackages(run.setting.environment)
-    shipping = tuple(installed.shipping())
-    if shipping:
+    packages = [
+        {
+            "name": each.name,
+            "folder": path_text(str(each.folder)),
+            "files": None if each.files is None else list(map(path_text, each.files)),
+            "hidden_by": each.hidden_by or None,
+        }
+        for each in installed.shipping()
+    ]
+    if packages:
         run.console.line("")
-        run.console.table(["PACKAGE", "SHIPS", "HIDDEN BY", "FROM"], [_row(run, each) for each in shipping])
-    result = {
-        "plugins": [asdict(info) | {"usable": usable} for info, usable in listed],
-        "packages": [_document(each) for each in shipping],
-    }
+        columns = {"PACKAGE": "name", "SHIPS": "ships", "HIDDEN BY": "hidden_by", "FROM": "from"}
+        run.console.table(columns, [each | _shown(run, each) for each in packages])
+    result = {"plugins": listed, "packages": packages}
     exit_code = ExitCode.FAILURE if diagnostics else ExitCode.DONE
     return run.report(result, [*diagnostics, *map(_relative, installed.relative_prefixes)], exit_code)
 
 
-def _row(run: Run, package: ShippingPackage) -> list[str]:
-    files = "(unreadable)" if package.files is None else " ".join(package.files)
-    return [package.name, files, package.hidden_by or "-", run.typed(path_text(str(package.folder)))]
-
-
-def _document(package: ShippingPackage) -> dict[str, Any]:
-    return {
-        "name": package.name,
-        "folder": path_text(str(package.folder)),
-        "files": None if package.files is None else list(map(path_text, package.files)),
-        "hidden_by": package.hidden_by or None,
-    }
+def _shown(run: Run, package: Mapping[str, Any]) -> dict[str, str]:
+    files = package["files"]
+    ships = "(unreadable)" if files is None else " ".join(files) or " "  # an empty list is no missing one
+    return {"ships": ships, "from": run.typed(package["folder"])}
 
 
 def _relative(prefix: str) -> Diagnostic:

@@ -17,14 +17,11 @@ from keymint.analysis.symbolic_search import STATES, QueryBudget
 from keymint.api import LoadedPolicy
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions, policy_options
-from keymint.command_line.verb import verb
+from keymint.command_line.verb import Report, Run, argument, findings_if, option, verb
 from keymint.host.git import at_revision, is_revision
 from keymint.output.console import Console
-from keymint.output.differences import as_text, summary
+from keymint.output.differences import as_text, markdown, summary
 from keymint.output.json import differences_json
-from keymint.output.markdown import markdown
-from keymint.output.report import Report, findings_if
-from keymint.run.run import Run
 
 _UNKNOWN = Diagnostic.warning(
     "diff-unknown",
@@ -35,14 +32,16 @@ FORMATS = ("text", "markdown", "json")
 
 
 @verb(workspace=False)
-@click.argument("old", metavar="A")
-@click.argument("new", metavar="B")
-@click.option("-f", "--format", "kind", type=click.Choice(FORMATS), default="text", show_default=True)
-@click.option(
-    "--budget", default=STATES, show_default=True, metavar="STATES", type=click.IntRange(1), help="States to search."
-)
-@policy_options
-def diff(run: Run, old: str, new: str, kind: str, budget: int, policy_options: PolicyOptions) -> Report:
+def diff(
+    run: Run,
+    old: str = argument(metavar="A"),
+    new: str = argument(metavar="B"),
+    kind: str = option("-f", "--format", type=click.Choice(FORMATS), default="text", show_default=True),
+    budget: int = option(
+        default=STATES, show_default=True, metavar="STATES", type=click.IntRange(1), help="States to search."
+    ),
+    policy_options: PolicyOptions = policy_options,
+) -> Report:
     """Compare the policies A and B: list what each subject gains and loses, for all names.
 
     A and B are ComArmor files or directories, workspaces, or any of these at a Git revision: REV:PATH. 'equivalent'

@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from difflib import unified_diff
 from pathlib import Path
 from typing import Any
-
-import click
 
 from comarmor.errors import Defects, Diagnostic, Origin
 from comarmor.text import counted
@@ -16,17 +16,14 @@ from comarmor.values import dataclass
 from comarmor.xml.reader import looks_like_xml
 from keymint.api import PolicyType
 from keymint.command_line.named_files import is_folder, read_input, replace_inputs
-from keymint.command_line.options import PATH
-from keymint.command_line.verb import verb
+from keymint.command_line.verb import PATH, Report, Run, argument, findings_if, flag, verb
 from keymint.errors import KeymintError, usage_error
-from keymint.output.report import Report, findings_if
-from keymint.output.unified_diff import file_diff, first_difference
-from keymint.run.run import Run
 from keymint.view.tree import MAX_FILE
 from keymint.workspace.policy_loading import foreign_policy
 from keymint.workspace.workspace import Workspace
 
 _STANDARD = Path("-")
+_NO_NEWLINE = "\\ No newline at end of file\n"
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,10 +49,12 @@ class _Formatted:
 
 
 @verb(dry_run=True)
-@click.argument("paths", nargs=-1, type=PATH, metavar="[PATH]...")
-@click.option("--check", is_flag=True, help="Write nothing; exit code 3 if a file is not in canonical form.")
-@click.option("--diff", "as_diff", is_flag=True, help="Write nothing; show what would change.")
-def fmt(run: Run, paths: tuple[Path, ...], check: bool, as_diff: bool) -> Report:
+def fmt(
+    run: Run,
+    paths: tuple[Path, ...] = argument(nargs=-1, type=PATH, metavar="[PATH]..."),
+    check: bool = flag("Write nothing; exit code 3 if a file is not in canonical form."),
+    as_diff: bool = flag("Write nothing; show what would change.", "--diff"),
+) -> Report:
     """Bring policies, files that they include, and policy tests into their canonical form.
 
     PATH is a file, a directory with all that is below it, a workspace, or - for standard input, which is written to
@@ -186,3 +185,34 @@ def _places(run: Run, path: Path | None) -> Sequence[Path]:
     if path is not None and not workspace.exists():
         return (run.setting.cwd / path,)
     return tuple(source.path for source in run.inputs(workspace).session().profile.policies)
+
+
+def file_diff(name: str, before: bytes, after: bytes) -> bytes:
+    """Return what changes in a file, with three lines of context; empty for equal contents.
+
+    Args:
+        name: its path, relative to the folder where the difference can be applied with ``-p1``.
+        before: its content.
+        after: its new content.
+    """
+    old, new = f"a/{name.lstrip('/')}", f"b/{name.lstrip('/')}"
+    lines = unified_diff(_lines(before), _lines(after), old, new)
+    return "".join(line if line.endswith("\n") else f"{line}\n{_NO_NEWLINE}" for line in lines).encode(
+        errors="surrogateescape"
+    )
+
+
+def first_difference(before: bytes, after: bytes) -> int:
+    """Return the number of the first line that differs, from 1; 0 for equal contents."""
+    if before == after:
+        return 0
+    pairs = zip(_lines(before), _lines(after), strict=False)
+    return next(
+        (number for number, (old, new) in enumerate(pairs, 1) if old != new),
+        min(before.count(b"\n"), after.count(b"\n")) + 1,
+    )
+
+
+def _lines(content: bytes) -> list[str]:
+    """Return lines with their line feeds; other characters that Python takes for line ends are part of a line."""
+    return re.findall(r"[^\n]*\n|[^\n]+", content.decode(errors="surrogateescape"))

@@ -13,12 +13,22 @@ from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
 from keymint.api import LoadedPolicy, graph_json
 from keymint.api.graph import EdgeOutcome, Graph
-from keymint.command_line.graph_source_option import graph_source
-from keymint.command_line.named_files import deliver, read_input
+from keymint.command_line.named_files import deliver, read_input, source_files
 from keymint.command_line.named_policies import Policies, library_rules, workspace_library_rules
-from keymint.command_line.options import PATH, Number, PluginOption, PolicyOptions, option_group, policy_options
-from keymint.command_line.verb import verb
-from keymint.command_line.verify_report import sources
+from keymint.command_line.options import PolicyOptions, policy_options
+from keymint.command_line.verb import (
+    PATH,
+    Number,
+    Report,
+    Run,
+    argument,
+    flag,
+    graph_source,
+    option,
+    option_group,
+    plugin,
+    verb,
+)
 from keymint.drawing.appearance import Theme
 from keymint.drawing.labelled_graph import (
     LabelledEdge,
@@ -30,8 +40,6 @@ from keymint.drawing.labelled_graph import (
 )
 from keymint.drawing.simplify import DrawingOptions, Split
 from keymint.errors import KeymintError, usage_error
-from keymint.output.report import Report
-from keymint.run.run import Run
 from keymint.workspace.policy_loading import load_policy
 
 FORMATS = ("svg", "png", "dot", "html")
@@ -52,82 +60,54 @@ class _DrawnPolicy:
     common: Callable[[Origin], bool]
 
 
-@dataclass(frozen=True, slots=True)
-class _Shown:
-    """Which part of a graph to draw; the fields are those of the command line."""
-
-    everything: bool
-    subjects: tuple[str, ...]
-    namespaces: tuple[str, ...]
-    only: str | None
-
-
 @verb(dry_run=True)
-@click.argument("source", metavar="[POLICY|GRAPH]", required=False, type=PATH)
-@click.option("-o", "--output", type=PATH, metavar="FILE", help="Write to this file; its suffix selects the format.")
-@click.option("-f", "--format", "kind", type=click.Choice(FORMATS), help="Format [from the suffix of FILE, else svg].")
-@click.option("--policy", type=PATH, metavar="PATH", help="Label the edges of GRAPH by this policy.")
-@option_group(
-    "shown",
-    _Shown,
-    click.option("--all", "everything", is_flag=True, help="Draw every possible edge, also those that no rule allows."),
-    click.option(
-        "--subject", "subjects", multiple=True, metavar="NAME", help="Draw only this subject; may be repeated."
-    ),
-    click.option(
-        "--namespace", "namespaces", multiple=True, metavar="NAME", help="Draw only subjects at or below this name."
-    ),
-    click.option("--only", type=click.Choice(["allowed", "denied"]), help="Draw only edges with this label."),
-)
-@option_group(
-    "drawing",
-    DrawingOptions,
-    click.option(
-        "--by",
-        "split",
-        type=click.Choice([str(split) for split in Split]),
-        default="none",
-        callback=lambda _context, _parameter, value: Split(value),
-        help="Draw one panel for each.",
-    ),
-    click.option("--fold/--no-fold", default=None, help="Merge objects with the same edges [from 40 objects on]."),
-    click.option("--group/--no-group", default=None, help="Merge the subjects of a namespace [beyond 30 subjects]."),
-    click.option(
-        "--common", is_flag=True, help="Draw also what every node may do: parameters, logging, time, discovery."
-    ),
-    click.option(
-        "--limit", type=click.IntRange(1), default=600, show_default=True, help="Draw at most this many lines."
-    ),
-    click.option(
-        "--theme",
-        type=click.Choice([str(theme) for theme in Theme]),
-        default="auto",
-        show_default=True,
-        callback=lambda _context, _parameter, value: Theme(value),
-        help="Colours; auto follows the reader's settings.",
-    ),
-)
-@click.option("--scale", type=Number(0.1, 10), default=2.0, show_default=True, help="Resolution of a PNG.")
-@click.option("--title", metavar="TEXT", help="Title of the picture.")
-@policy_options
-@click.option(
-    "--source-type",
-    cls=PluginOption,
-    group="keymint.graph_sources",
-    help="Plugin that reads a capture [the only one that is installed].",
-)
 def graph(
     run: Run,
-    source: Path | None,
-    output: Path | None,
-    kind: str | None,
-    policy: Path | None,
-    shown: _Shown,
-    drawing: DrawingOptions,
-    scale: float,
-    title: str | None,
-    policy_options: PolicyOptions,
-    source_type: str | None,
+    source: Path | None = argument(metavar="[POLICY|GRAPH]", required=False, type=PATH),
+    output: Path | None = option(
+        "-o", type=PATH, metavar="FILE", help="Write to this file; its suffix selects the format."
+    ),
+    kind: str | None = option(
+        "-f", "--format", type=click.Choice(FORMATS), help="Format [from the suffix of FILE, else svg]."
+    ),
+    policy: Path | None = option(type=PATH, metavar="PATH", help="Label the edges of GRAPH by this policy."),
+    everything: bool = flag("Draw every possible edge, also those that no rule allows.", "--all"),
+    named: tuple[str, ...] = option(
+        "--subject", multiple=True, metavar="NAME", help="Draw only this subject; may be repeated."
+    ),
+    namespaces: tuple[str, ...] = option(
+        "--namespace", multiple=True, metavar="NAME", help="Draw only subjects at or below this name."
+    ),
+    only: str | None = option(type=click.Choice(["allowed", "denied"]), help="Draw only edges with this label."),
+    drawing: DrawingOptions = option_group(
+        DrawingOptions,
+        split=option(
+            "--by",
+            type=click.Choice([str(split) for split in Split]),
+            default="none",
+            callback=lambda _context, _parameter, value: Split(value),
+            help="Draw one panel for each.",
+        ),
+        fold=option("--fold/--no-fold", default=None, help="Merge objects with the same edges [from 40 objects on]."),
+        group=option(
+            "--group/--no-group", default=None, help="Merge the subjects of a namespace [beyond 30 subjects]."
+        ),
+        common=flag("Draw also what every node may do: parameters, logging, time, discovery."),
+        limit=option(type=click.IntRange(1), default=600, show_default=True, help="Draw at most this many lines."),
+        theme=option(
+            type=click.Choice([str(theme) for theme in Theme]),
+            default="auto",
+            show_default=True,
+            callback=lambda _context, _parameter, value: Theme(value),
+            help="Colours; auto follows the reader's settings.",
+        ),
+    ),
+    scale: float = option(type=Number(0.1, 10), default=2.0, show_default=True, help="Resolution of a PNG."),
+    title: str | None = option(metavar="TEXT", help="Title of the picture."),
+    policy_options: PolicyOptions = policy_options,
+    source_type: str | None = plugin(
+        "keymint.graph_sources", "Plugin that reads a capture [the only one that is installed]."
+    ),
 ) -> Report:
     """Draw a policy, or the graph of a system, as a picture or a web page.
 
@@ -155,22 +135,22 @@ def graph(
                 "leave out --policy",
             )
         drawn = policy_at(source) if source else _policy_of_workspace(run)
-        below = choose_subjects(drawn.loaded.subjects(), (), shown.namespaces) if shown.namespaces else ()
+        below = choose_subjects(drawn.loaded.subjects(), (), namespaces) if namespaces else ()
         labelled = policy_graph(
             title or drawn.name,
             drawn.loaded,
-            tuple(sorted({*shown.subjects, *below})),
-            everything=shown.everything,
+            tuple(sorted({*named, *below})),
+            everything=everything,
             typed=run.typed,
             common=drawn.common,
         )
     else:
         labelling = policy_at(policy) if policy is not None else None
-        subjects = choose_subjects(system.subjects, shown.subjects, shown.namespaces)
+        subjects = choose_subjects(system.subjects, named, namespaces)
         name = Path(source or "").stem + (f", labelled by {labelling.name}" if labelling else "")
-        labelled = _labelled(run, title or name, system, subjects, labelling, everything=shown.everything)
-    if shown.only:
-        labelled = select_edges(labelled, only={EdgeOutcome.ALLOW if shown.only == "allowed" else EdgeOutcome.DENY})
+        labelled = _labelled(run, title or name, system, subjects, labelling, everything=everything)
+    if only:
+        labelled = select_edges(labelled, only={EdgeOutcome.ALLOW if only == "allowed" else EdgeOutcome.DENY})
     content = _drawn(run, labelled, chosen_format, drawing, scale)
     result: dict[str, Any] = {
         **deliver(run, output, content),
@@ -200,7 +180,7 @@ def _graph(run: Run, source: Path, source_type: str | None) -> tuple[Graph | Non
     content = read_input(run, source)
     if graph_json.recognises(content):
         return graph_json.load(content, str(source)), ()
-    reader = graph_source(run, source_type, "--source-type")
+    reader = graph_source(run.plugins, source_type, "--source-type")
     if not reader.recognises(content):
         return None, ()
     try:
@@ -236,7 +216,7 @@ def _drawn(run: Run, labelled: LabelledGraph, kind: str, options: DrawingOptions
     if kind == "dot":
         return dot(labelled, options)
     if kind == "html":
-        return html_report(labelled, sources(run, labelled), options)
+        return html_report(labelled, source_files(run, labelled), options)
     if kind == "png":
         return png(svg(labelled, options), scale)
     return svg(labelled, options)

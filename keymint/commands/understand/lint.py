@@ -6,8 +6,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-import click
-
 from comarmor.text import counted
 from keymint.analysis.lint.lint_rules import CODES, portability, sorted_diagnostics
 from keymint.analysis.lint.lint_rules import lint as look
@@ -15,35 +13,27 @@ from keymint.analysis.subject_patterns import pattern_examples, rules_of
 from keymint.api import BuildType
 from keymint.command_line.named_files import write_outputs
 from keymint.command_line.named_policies import Policies
-from keymint.command_line.options import FILE, PATH, PluginOption, PolicyOptions, policy_options
-from keymint.command_line.verb import verb
+from keymint.command_line.options import PolicyOptions, policy_options
+from keymint.command_line.verb import FILE, PATH, Report, Run, argument, findings_exit, option, plugin, verb
 from keymint.errors import usage_error
 from keymint.examine.nodes import NODE_NOTES, node_notes, of_policy
 from keymint.ir import SubjectRules
-from keymint.output.report import Report, findings_exit
 from keymint.output.sarif import of_diagnostics
 from keymint.output.sarif import sarif as sarif_log
-from keymint.run.run import Run
 
 
 @verb()
-@click.argument("policy", required=False, type=PATH)
-@click.option("--sarif", type=FILE, metavar="FILE", help="Write SARIF 2.1.0.")
-@click.option(
-    "--build-type",
-    "chosen",
-    cls=PluginOption,
-    group="keymint.build_types",
-    multiple=True,
-    help="Plugin that checks the rules for its transport; may be repeated [those of the workspace, or of a new one].",
-)
-@policy_options
 def lint(
     run: Run,
-    policy: Path | None,
-    sarif: Path | None,
-    chosen: tuple[str, ...],
-    policy_options: PolicyOptions,
+    policy: Path | None = argument(required=False, type=PATH),
+    sarif: Path | None = option(type=FILE, metavar="FILE", help="Write SARIF 2.1.0."),
+    chosen: tuple[str, ...] = plugin(
+        "keymint.build_types",
+        "Plugin that checks the rules for its transport; may be repeated [those of the workspace, or of a new one].",
+        "--build-type",
+        multiple=True,
+    ),
+    policy_options: PolicyOptions = policy_options,
 ) -> Report:
     """Report unreachable, redundant and suspicious rules of POLICY.
 

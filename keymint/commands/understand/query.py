@@ -8,8 +8,6 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-import click
-
 from comarmor.errors import Diagnostic
 from comarmor.patterns.decision_lists import Equal
 from comarmor.patterns.glob import literal, parse
@@ -31,11 +29,10 @@ from keymint.analysis.subject_patterns import rules_of, unknown_subject
 from keymint.api import LoadedPolicy
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions, kind_option, policy_options
-from keymint.command_line.verb import verb
+from keymint.command_line.verb import Report, Run, argument, findings_if, flag, option, verb
 from keymint.errors import usage_error
 from keymint.output.json import line_json
-from keymint.output.report import Report, findings_if, members
-from keymint.run.run import Run
+from keymint.output.report import members
 
 _MOST = 20
 _Answer = tuple[str, dict[str, Any]]
@@ -43,20 +40,16 @@ _Answer = tuple[str, dict[str, Any]]
 
 
 @verb()
-@click.argument("words", nargs=-1, metavar="[POLICY] QUESTION...")
-@click.option("--except", "but", multiple=True, metavar="OBJECT", help="flows, isolated: ignore these objects.")
-@click.option("--infrastructure", is_flag=True, help="flows, isolated: also count what the library allows every node.")
-@kind_option
-@click.option("--partition", default="", metavar="NAME", help="Partition of a raw topic [the default one].")
-@policy_options
 def query(
     run: Run,
-    words: tuple[str, ...],
-    but: tuple[str, ...],
-    infrastructure: bool,
-    kind: str | None,
-    partition: str,
-    policy_options: PolicyOptions,
+    words: tuple[str, ...] = argument(nargs=-1, metavar="[POLICY] QUESTION..."),
+    but: tuple[str, ...] = option(
+        "--except", multiple=True, metavar="OBJECT", help="flows, isolated: ignore these objects."
+    ),
+    infrastructure: bool = flag("flows, isolated: also count what the library allows every node."),
+    kind: str | None = kind_option,
+    partition: str = option(default="", metavar="NAME", help="Partition of a raw topic [the default one]."),
+    policy_options: PolicyOptions = policy_options,
 ) -> Report:
     """Ask a policy a question. SUBJECT and OBJECT may be patterns; the prefix 'ros_' of permissions is optional.
 
@@ -188,19 +181,6 @@ def _what(run: Run, policy: LoadedPolicy, question: PolicyQuery) -> _Answer:
     (expression,) = question.subjects
     subjects = ChannelSearch(policy).named(expression)
     found = [(subject, each) for subject in subjects for each in effective_permissions(rules_of(policy, subject))]
-    if found:
-        several = len(subjects) > 1
-        rows = [
-            [*[subject] * several, ability.permission, _objects(ability), run.place(ability.where)]
-            for subject, ability in found
-        ]
-        run.console.table([*["SUBJECT"] * several, "PERMISSION", "OBJECTS", "RULE"], rows)
-    elif not subjects:
-        run.console.line(f"no profile of the policy applies to any subject that {expression} matches")
-    else:
-        applies = any(policy.rules(subject) is not None for subject in subjects)
-        why = "no rule allows it anything" if applies else "no profile of the policy applies to it"
-        run.console.line(f"{expression} can do nothing: {why}")
     abilities = [
         {
             "subject": subject,
@@ -211,6 +191,17 @@ def _what(run: Run, policy: LoadedPolicy, question: PolicyQuery) -> _Answer:
         }
         for subject, ability in found
     ]
+    if found:
+        columns = {"SUBJECT": "subject"} if len(subjects) > 1 else {}
+        columns |= {"PERMISSION": "permission", "OBJECTS": "objects", "RULE": "place"}
+        shown = [{"objects": _objects(ability), "place": run.place(ability.where)} for _, ability in found]
+        run.console.table(columns, [each | more for each, more in zip(abilities, shown, strict=True)])
+    elif not subjects:
+        run.console.line(f"no profile of the policy applies to any subject that {expression} matches")
+    else:
+        applies = any(policy.rules(subject) is not None for subject in subjects)
+        why = "no rule allows it anything" if applies else "no profile of the policy applies to it"
+        run.console.line(f"{expression} can do nothing: {why}")
     return "yes" if found else "no", {"subjects": subjects, "abilities": abilities}
 
 

@@ -3,44 +3,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-
-import click
 
 from comarmor.errors import Defects, Diagnostic, Origin, Spot
 from keymint.analysis.policy_tests import ExpectationChecker, ExpectationResult, diagnostics
 from keymint.api import Expectation
 from keymint.command_line.named_files import write_outputs
 from keymint.command_line.named_policies import Policies
-from keymint.command_line.options import FILE, PATH, Number, PolicyOptions, policy_options
-from keymint.command_line.verb import verb
+from keymint.command_line.options import PolicyOptions, policy_options
+from keymint.command_line.verb import FILE, PATH, Number, Report, Run, argument, findings_if, option, verb
 from keymint.errors import KeymintError
 from keymint.ir import Rule
-from keymint.output.junit import JUnitCase, JUnitFailure, JUnitSuite
+from keymint.output.junit import JUnitCase
 from keymint.output.junit import junit as junit_document
-from keymint.output.report import Report, findings_if
-from keymint.run.run import Run
 
 
 @verb()
-@click.argument("policy", required=False, type=PATH)
-@click.option("--junit", type=FILE, metavar="FILE", help="Write JUnit XML.")
-@click.option(
-    "--min-coverage",
-    type=Number(0, 100),
-    default=0.0,
-    metavar="PERCENT",
-    help="Fail if rule coverage is below PERCENT [0].",
-)
-@policy_options
 def test(
     run: Run,
-    policy: Path | None,
-    junit: Path | None,
-    min_coverage: float,
-    policy_options: PolicyOptions,
+    policy: Path | None = argument(required=False, type=PATH),
+    junit: Path | None = option(type=FILE, metavar="FILE", help="Write JUnit XML."),
+    min_coverage: float = option(
+        type=Number(0, 100), default=0.0, metavar="PERCENT", help="Fail if rule coverage is below PERCENT [0]."
+    ),
+    policy_options: PolicyOptions = policy_options,
 ) -> Report:
     """Run the unit tests of POLICY: NAME.test.xml beside NAME.xml, or all *.test.xml in its directory.
 
@@ -90,9 +78,8 @@ def test(
         message = f"rule coverage is {percent:.0f} %, below {min_coverage:g} %"
         warnings.append(Diagnostic.error("coverage-low", message, help="'keymint test -v' lists the others"))
     if junit is not None:
-        write_outputs(
-            run, junit, junit_document("keymint test", [_suite(file, checked) for file, checked in by_file.items()])
-        )
+        suites = {file: [*_cases(file, checked)] for file, checked in by_file.items()}
+        write_outputs(run, junit, junit_document("keymint test", suites))
     broken = sum(bool(result.failure) for result in results)
     run.console.line(
         f"{len(results) - broken} of {len(results)} expectations hold; "
@@ -141,17 +128,12 @@ def _idle(rules: Sequence[Rule]) -> list[Diagnostic]:
     ]
 
 
-def _suite(file: str, results: Sequence[ExpectationResult]) -> JUnitSuite:
-    """Return the results of a file: a test case for each of its tests."""
+def _cases(file: str, results: Sequence[ExpectationResult]) -> Iterator[JUnitCase]:
+    """Yield the results of a file: a test case for each of its tests."""
     tests: dict[str, list[ExpectationResult]] = {}
     for result in results:
         tests.setdefault(result.expectation.test, []).append(result)
-    return JUnitSuite(file, [JUnitCase(file, name, _failure(file, test)) for name, test in tests.items()])
-
-
-def _failure(file: str, test: Sequence[ExpectationResult]) -> JUnitFailure | None:
-    failed = [result for result in test if result.failure]
-    if not failed:
-        return None
-    lines = [f"{file}:{result.expectation.where.line}: {result.failure}" for result in failed]
-    return JUnitFailure("expectation", failed[0].failure, "\n".join(lines))
+    for name, test in tests.items():
+        failed = [result for result in test if result.failure]
+        lines = [f"{file}:{result.expectation.where.line}: {result.failure}" for result in failed]
+        yield JUnitCase(file, name, ("expectation", failed[0].failure) if failed else None, "\n".join(lines))

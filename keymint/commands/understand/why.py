@@ -14,7 +14,7 @@ from comarmor.errors import Diagnostic, Origin
 from keymint.api import DomainRange, Endpoint, Tier, Verdict
 from keymint.api.graph import LABELLED
 from keymint.command_line.options import kind_option, transport_option
-from keymint.command_line.verb import verb
+from keymint.command_line.verb import Report, Run, argument, findings_if, option, verb
 from keymint.names import name_of
 from keymint.output.json import decision_json, edge_json, place_json, verdict_json
 from keymint.output.mismatches import (
@@ -25,8 +25,7 @@ from keymint.output.mismatches import (
     rule_text,
     verb_of,
 )
-from keymint.output.report import Report, findings_if, members
-from keymint.run.run import Run
+from keymint.output.report import members
 from keymint.stages.proof.trust_anchors import differences
 from keymint.verify.transports import choose, models
 from keymint.verify.why import Explanation, MatchedRule, explain, request, source_package
@@ -38,22 +37,19 @@ Place = Callable[[Origin | None], str]
 
 
 @verb()
-@click.argument("subject")
-@click.argument("permission", shell_complete=lambda _c, _p, text: [p for p in _PERMISSIONS if p.startswith(text)])
-@click.argument("object_name", metavar="OBJECT")
-@kind_option
-@click.option("--partition", "partitions", multiple=True, metavar="NAME", help="Partition; may be repeated.")
-@click.option("--domain", type=click.IntRange(0, 232), metavar="N", help="Domain id [the first one of the grant].")
-@transport_option
 def why(
     run: Run,
-    subject: str,
-    permission: str,
-    object_name: str,
-    kind: str | None,
-    partitions: tuple[str, ...],
-    domain: int | None,
-    chosen: tuple[str, ...],
+    subject: str = argument(),
+    permission: str = argument(shell_complete=lambda _c, _p, text: [p for p in _PERMISSIONS if p.startswith(text)]),
+    object_name: str = argument(metavar="OBJECT"),
+    kind: str | None = kind_option,
+    partitions: tuple[str, ...] = option(
+        "--partition", multiple=True, metavar="NAME", help="Partition; may be repeated."
+    ),
+    domain: int | None = option(
+        type=click.IntRange(0, 232), metavar="N", help="Domain id [the first one of the grant]."
+    ),
+    chosen: tuple[str, ...] = transport_option,
 ) -> Report:
     """Explain why SUBJECT has, or lacks, PERMISSION on OBJECT: policy, package, transport names, document, transports.
 

@@ -11,8 +11,9 @@ from typing import Any, cast
 
 import pytest
 
-from keymint.command_line.robot_options import VARIABLE, RobotKeystore, keystore_of, opened_store
+from keymint.command_line.robot_options import VARIABLE, keystore_of, opened_store
 from keymint.errors import ExitCode, KeymintError
+from keymint.robots.robot_keystore import Keystore
 from keymint.run.run import Run
 
 
@@ -23,8 +24,9 @@ def run(cwd: Path, **environment: str) -> Run:
 
 def test_the_option_comes_before_the_environment(tmp_path: Path) -> None:
     there = {VARIABLE: str(tmp_path / "environment")}
-    assert keystore_of(run(tmp_path, **there), None) == RobotKeystore(tmp_path / "environment", "environment")
-    assert keystore_of(run(tmp_path, **there), Path("named")) == RobotKeystore(tmp_path / "named", "named")
+    for option, name in ((None, "environment"), (Path("named"), "named")):
+        keystore = keystore_of(run(tmp_path, **there), option)
+        assert (keystore.root, keystore.shown) == (tmp_path / name, name)
 
 
 @pytest.mark.parametrize("environment", [{}, {VARIABLE: ""}])
@@ -35,7 +37,7 @@ def test_without_either(tmp_path: Path, environment: dict[str, str]) -> None:
 
 
 def test_what_a_killed_run_left_is_gone(tmp_path: Path) -> None:
-    keystore = RobotKeystore(tmp_path, ".")
+    keystore = Keystore(tmp_path, ".")
     (tmp_path / ".keymint").mkdir()
     (tmp_path / ".keymint/running").write_bytes(b"")
     left = tmp_path / "enclaves/.keymint-1-2.tmp"
@@ -47,7 +49,7 @@ def test_what_a_killed_run_left_is_gone(tmp_path: Path) -> None:
 
 
 def test_one_at_a_time(tmp_path: Path) -> None:
-    keystore, order = RobotKeystore(tmp_path, "."), []
+    keystore, order = Keystore(tmp_path, "."), []
 
     def second() -> None:
         with opened_store(run(tmp_path), keystore):

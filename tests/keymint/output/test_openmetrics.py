@@ -16,8 +16,7 @@ TEXT = st.text(st.characters(codec="utf-8", exclude_characters="\r"), max_size=2
 
 @given(st.dictionaries(TEXT, st.floats(-1e12, 1e12).map(round), max_size=5), TEXT.map(str.strip))
 def test_a_parser_reads_what_is_written(values: dict[str, float], help_: str) -> None:
-    samples = tuple(({"subject": name}, value) for name, value in values.items())
-    gauges = [Gauge("a_seconds", help_, samples, "seconds"), Gauge("b", "B.", (({}, 1),))]
+    gauges = [Gauge("a_seconds", help_, "subject", values), Gauge("b", "B.", "authority", {"ca": 1})]
     text = "".join(f"{line}\n" for line in openmetrics(gauges))
     first, second = text_string_to_metric_families(text)
     assert (first.name, first.type, first.unit, first.documentation) == ("a_seconds", "gauge", "seconds", help_)
@@ -27,5 +26,5 @@ def test_a_parser_reads_what_is_written(values: dict[str, float], help_: str) ->
 
 def test_what_has_no_moment_has_no_sample() -> None:
     moment = datetime(2027, 1, 15, 8, tzinfo=UTC)
-    gauge = moments("x", "X.", [({"subject": "/a"}, moment), ({"subject": "/b"}, None)])
-    assert gauge == Gauge("x_timestamp_seconds", "X.", (({"subject": "/a"}, 1_800_000_000),), "seconds")
+    gauge = moments("x", "X.", "subject", {"/a": moment, "/b": None})
+    assert gauge == Gauge("x_timestamp_seconds", "X.", "subject", {"/a": 1_800_000_000})

@@ -14,7 +14,6 @@ from keymint.robots import certification_request
 from keymint.robots.robot_keystore import Keystore
 from keymint.store.changes import FolderChange
 from keymint.store.store import Store
-from keymint.view.tree import Tree
 
 from .conftest import AT, FILE, NONCE, Made, authority, robot_key
 
@@ -28,7 +27,7 @@ def root(tmp_path: Path) -> Path:
 
 
 def read(root: Path) -> Keystore:
-    return Keystore(root, "keystore", Tree())
+    return Keystore(root, "keystore")
 
 
 def write(root: Path, *changes: FolderChange) -> None:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from keymint.api import Claim, Comparison, Proof
-from keymint.commands.exchange.import_proof import SubjectProof, diagnostics_of, unproven
+from keymint.commands.exchange.import_policy import SubjectProof, diagnostics_of, unproven
 
 
 def claim(model: str, proof: Proof = Proof.PROVEN) -> Claim:

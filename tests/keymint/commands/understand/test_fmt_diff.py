@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from keymint.output.unified_diff import file_diff, first_difference
+from keymint.commands.understand.fmt import file_diff, first_difference
 
 CONTENTS = st.lists(st.sampled_from([b"a\n", b"b\r\n", b"\x0c\xc2\x85\n", b"\xff", b"\n", b"c"]), max_size=6).map(
     b"".join

@@ -12,8 +12,7 @@ from comarmor.errors import Origin
 from comarmor.patterns.glob import parse
 from keymint.analysis.permission_changes import PermissionChange
 from keymint.analysis.policy_diff import SubjectChanges
-from keymint.output.differences import as_text, summary
-from keymint.output.markdown import _code, markdown
+from keymint.output.differences import _code, as_text, markdown, summary
 
 GAIN = PermissionChange(
     gains=True,

@@ -2,23 +2,22 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 from keymint_ros2_dds.discovery import DdsGraphs
 
 from keymint.api.plugin_loader import PluginInfo, Plugins
-from keymint.command_line.graph_source_option import graph_source
+from keymint.command_line.verb import graph_source
 from keymint.errors import ExitCode, KeymintError
 
 ONE, OTHER = DdsGraphs(), DdsGraphs()
 
 
-def run_with(*names: str) -> Any:
-    """Return a run with these graph sources installed."""
+def plugins_with(*names: str) -> Plugins:
+    """Return plugins with these graph sources."""
     group = "keymint.graph_sources"
     entries = [PluginInfo(group, name, f"{__name__}:{name.upper()}", "test", "1") for name in names]
-    return SimpleNamespace(plugins=Plugins(entries))
+    return Plugins(entries)
 
 
 @pytest.fixture(autouse=True)
@@ -30,12 +29,12 @@ def importable(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_only_installed_source_needs_no_name() -> None:
-    assert graph_source(run_with("one"), None, "--source") is ONE
-    assert graph_source(run_with("other"), None, "--source") is OTHER
+    assert graph_source(plugins_with("one"), None, "--source") is ONE
+    assert graph_source(plugins_with("other"), None, "--source") is OTHER
 
 
 def test_a_named_source_is_chosen() -> None:
-    assert graph_source(run_with("one", "other"), "other", "--source") is OTHER
+    assert graph_source(plugins_with("one", "other"), "other", "--source") is OTHER
 
 
 @pytest.mark.parametrize(
@@ -47,7 +46,7 @@ def test_a_named_source_is_chosen() -> None:
 )
 def test_without_a_name_there_must_be_one(names: tuple[str, ...], message: str) -> None:
     with pytest.raises(KeymintError) as caught:
-        graph_source(run_with(*names), None, "--source-type")
+        graph_source(plugins_with(*names), None, "--source-type")
     (said,) = caught.value.diagnostics
     assert f"{said.message}; {said.help}".startswith(message)
     assert caught.value.exit_code is ExitCode.USAGE

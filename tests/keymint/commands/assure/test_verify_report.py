@@ -8,7 +8,7 @@ from pathlib import Path
 from comarmor.errors import Origin, Reason
 from keymint.api import PolicyDecision, Tier, Verdict
 from keymint.api.graph import Column, ConfusionMatrix, Edge, Object
-from keymint.command_line.verify_report import labelled_edges
+from keymint.commands.assure.verify import labelled_edges
 from keymint.drawing.labelled_graph import Label
 from keymint.verify.endpoint_policy import EdgeRow
 from keymint.verify.mismatch import EdgeComparison, Mismatch

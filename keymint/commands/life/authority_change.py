@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the verbs that change an authority have in common: the files that they take, and that all enclaves follow."""
+"""``keymint authority renew``, ``import`` and ``encrypt``: another certificate, or a password, for the same key."""
 
 from __future__ import annotations
 
@@ -8,11 +8,18 @@ from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin
 from keymint.authority.authorities import plan_authorities
-from keymint.authority.authority_changes import GivenAuthority, refusing_implementations
+from keymint.authority.authority_changes import (
+    GivenAuthority,
+    plan_encryption,
+    plan_import,
+    plan_renewal,
+    refusing_implementations,
+)
 from keymint.command_line.named_files import read_input
+from keymint.command_line.options import authority_argument, flag_day_option
+from keymint.command_line.verb import FILE, Report, Run, argument, option, verb
 from keymint.errors import KeymintError
 from keymint.life.revocation_lists_in_force import list_of
-from keymint.run.run import Run
 from keymint.stages.pipeline import Request, conduct
 from keymint.stages.work import Work
 from keymint.store.changes import Plan
@@ -102,3 +109,46 @@ def _told(plan: Plan, session: Session, name: str) -> Plan:
         help_ = "copy the keystore to each robot before the old certificate ends; nodes read it when they start"
     told = Diagnostic.warning(REISSUED, message, where, help_)
     return replace(plan, diagnostics=(*others, told))
+
+
+@verb(dry_run=True, of="authority")
+def authority_renew(run: Run, name: str = authority_argument, flag_day: bool = flag_day_option) -> Report:
+    """Issue an authority's certificate again for the same key and name: it begins now, and is valid as long as before.
+
+    All enclaves get the new certificate. If the authority issues identities, robots with the old certificate and robots
+    with the new one work together. If it signs documents, these are signed again, and vendors let subjects that hold
+    different certificates of it not communicate: that needs --flag-day.
+    """
+    return run.change(lambda session: issued_again(run, session, plan_renewal(session, name), name, flag_day=flag_day))
+
+
+@verb(dry_run=True, of="authority")
+def authority_import(
+    run: Run,
+    name: str = authority_argument,
+    certificate: Path = argument(type=FILE),
+    key_file: Path | None = option(
+        "--key", type=FILE, metavar="FILE", help="Its private key, which is copied into private/."
+    ),
+    flag_day: bool = flag_day_option,
+) -> Report:
+    """Use the certificate of an authority that somebody else issued, as it is.
+
+    CERTIFICATE is a PEM file. Its private key may stay elsewhere: then everything works here that needs no signature of
+    it. Once enclaves are installed, the certificate must be for the key that they trust; another key is the matter of
+    'keymint authority replace'.
+    """
+    given = given_authority(run, certificate, key_file)
+    return run.change(
+        lambda session: issued_again(run, session, plan_import(session, name, given), name, flag_day=flag_day)
+    )
+
+
+@verb(dry_run=True, of="authority")
+def authority_encrypt(run: Run, name: str = authority_argument) -> Report:
+    """Encrypt the private key of an authority in private/, if the profile asks for BestAvailableEncryption.
+
+    The key stays the same, so no enclave changes. The password comes from the environment variable that the profile
+    names. Backups and copies keep the plain key: delete them, or replace the key with 'keymint authority replace'.
+    """
+    return run.change(lambda session: plan_encryption(session, name))
