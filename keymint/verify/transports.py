@@ -6,9 +6,9 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import cache
 
 from comarmor.errors import Origin
+from comarmor.values import dataclass
 from keymint.api import Availability, Enclave, Tier, Transport, Verdict
 from keymint.api.graph import Edge
 from keymint.api.plugin_loader import Plugins
@@ -103,39 +103,31 @@ def models(plugins: Plugins, build_type: str, *, distro: str = "") -> dict[str, 
 _VERSION = re.compile(r"-[\d.]+$")
 
 
+@dataclass(frozen=True, slots=True)
 class Explainer:
     """Explains the labels of transports; a real one is explained by its simulation.
 
-    Args:
+    Attributes:
         policy: the policy on endpoints.
         transports: the transports to explain, by name.
-        find_models: returns, on first use, simulated transports by name, whose verdicts have the place of a rule;
-            ``name-1.2`` simulates ``name`` from that version on. The first one explains what has no simulation.
+        models: returns simulated transports by name, whose verdicts have the place of a rule; ``name-1.2`` simulates
+            ``name`` from that version on. The first one explains what has no simulation.
         copies: the copies that the transports read; mismatches name the originals.
     """
 
-    def __init__(
-        self,
-        policy: EndpointPolicy,
-        transports: Mapping[str, Transport],
-        find_models: Callable[[], Mapping[str, Transport]],
-        copies: Copies,
-    ) -> None:
-        self._policy = policy
-        self._copies = copies
-        usable = {name: each.usable() for name, each in transports.items()}
-        self._explains_itself = frozenset(name for name, each in usable.items() if each.names_rules)
-        self._versions = {name: each.version for name, each in usable.items()}
-        self._models = cache(find_models)
+    policy: EndpointPolicy
+    transports: Mapping[str, Transport]
+    models: Callable[[], Mapping[str, Transport]]
+    copies: Copies
 
     def __call__(self, transport: str, enclave: Enclave, wrong: list[tuple[Edge, Verdict]]) -> list[Mismatch]:
         """Return the mismatches of one enclave with their reasons."""
         found: list[Mismatch] = []
         for (edge, verdict), (decided, model) in zip(wrong, self._modelled(transport, enclave, wrong), strict=True):
-            modelled = self._copies.original(decided)
-            own = replace(self._copies.original(verdict), where=modelled.where, deviation=modelled.deviation)
-            document = modelled.where or Origin(self._copies.back(str(enclave.folder)))
-            found.append(Mismatch(edge, self._policy.decide(edge), own, modelled.reason, document, model))
+            modelled = self.copies.original(decided)
+            own = replace(self.copies.original(verdict), where=modelled.where, deviation=modelled.deviation)
+            document = modelled.where or Origin(self.copies.back(str(enclave.folder)))
+            found.append(Mismatch(edge, self.policy.decide(edge), own, modelled.reason, document, model))
         return found
 
     def model_of(self, transport: str) -> str:
@@ -144,9 +136,10 @@ class Explainer:
         Of those of its software, that is the latest one that is not newer than the transport, else the oldest.
         """
         software = _VERSION.sub("", transport)
-        own = [name for name in self._models() if _VERSION.sub("", name) == software != name]
-        known = [name for name in own if _number(name) <= _number(self._versions.get(transport, ""))]
-        oldest = min(own, key=_number, default=next(iter(self._models()), ""))
+        own = [name for name in self.models() if _VERSION.sub("", name) == software != name]
+        version = _number(self.transports[transport].usable().version)
+        known = [name for name in own if _number(name) <= version]
+        oldest = min(own, key=_number, default=next(iter(self.models()), ""))
         return max(known, key=_number, default=oldest)
 
     def _modelled(
@@ -154,12 +147,12 @@ class Explainer:
     ) -> list[tuple[Verdict, str]]:
         """Return the verdicts of the simulation where it decides the same, else the transport's own."""
         plain = [(verdict, "") for _, verdict in wrong]
-        name = "" if transport in self._explains_itself else self.model_of(transport)
+        name = "" if self.transports[transport].usable().names_rules else self.model_of(transport)
         if not name:
             return plain
         try:
             edges = [edge for edge, _ in wrong]
-            models = [verdict for _, verdict in label_enclave(self._models()[name], enclave, edges, Tier.DECISION)]
+            models = [verdict for _, verdict in label_enclave(self.models()[name], enclave, edges, Tier.DECISION)]
         except KeymintError:
             return plain
         return [

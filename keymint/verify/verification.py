@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import astuple, replace
+from functools import cache, partial
 from itertools import chain
 
 from comarmor.values import dataclass
@@ -96,7 +97,7 @@ class VerificationPart:
         scope, asking = self.scope, self.asking
         subjects, rows = self.rows()
         policy = EndpointPolicy(self.policy, scope.namings)
-        explain = Explainer(policy, transports, lambda: models(plugins, scope.build_type), self.copies)
+        explain = Explainer(policy, transports, cache(partial(models, plugins, scope.build_type)), self.copies)
         labels = label(policy, rows(), lambda subject: asking.on_subject("policy", subject))
         alone = asking.tier is not Tier.EXCHANGE and scope.namings.keys() >= set(subjects)
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
+from functools import cache, partial
 
 from comarmor.errors import Origin
 from comarmor.patterns import glob
@@ -235,7 +235,7 @@ def _labels(
     ) as copies:
         (copy,) = copies.enclaves.values()
         for build_type, group in asked.items():
-            explainer = Explainer(views[build_type].policy, group, partial(find_models, build_type), copies)
+            explainer = Explainer(views[build_type].policy, group, cache(partial(find_models, build_type)), copies)
             for each, transport in group.items():
                 verdicts = list(label_enclave(transport, copy, [edge], Tier.DECISION))
                 (labels[each],) = explainer(each, copy, verdicts)
