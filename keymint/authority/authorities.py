@@ -14,7 +14,7 @@ from cryptography import x509
 from comarmor.errors import Defects, Diagnostic
 from comarmor.values import dataclass
 from keymint.api import Authority, AuthorityIssuance, SigningAuthority
-from keymint.authority import authority_files
+from keymint.authority import authority_files, examine
 from keymint.authority.authority_files import AuthorityFiles
 from keymint.errors import KeymintError, known_authority
 from keymint.pki import certificates, keys
@@ -138,7 +138,7 @@ def plan_authorities(session: Session, new: Sequence[str] = ()) -> tuple[Plan, M
     defects.found = [replace(each, help=each.help.replace(_OPTION, given)) for each in defects.found]
     defects.require_none()  # one token may fail several authorities
     fingerprints = {name: certificates.fingerprint(each.certificate) for name, each in minted.items()}
-    authority_files.require_own_keys(session, fingerprints)
+    examine.require_own_keys(session, fingerprints)
     state = with_recorded_keys(session.state, AUTHORITY_KEYS, fingerprints)
     return Plan(tuple(steps), state, tuple(warnings)), minted
 
@@ -160,7 +160,7 @@ def _plan_authority(
         key, pem = token_key(inputs, files, renew=renew), b""
     elif files.key is None or renew:
         if not renew:
-            authority_files.require_unused(files)
+            examine.require_unused(files)
         key, is_new = keys.generate(spec.key, spec.origin), True
         pem = keys.to_pem(key, secret)
         changes = (secret_file(inputs.workspace.authority_key(name), pem),)
@@ -171,8 +171,8 @@ def _plan_authority(
         new = Diagnostic.warning("authority-new", message, files.certificate_file)
         certificate, warnings = _issued(files, key, above, [new] if files.known() else [])
     else:
-        authority_files.require_rollover(files, key.public_key())
-        authority_files.require_in_use(files, key.public_key())
+        examine.require_rollover(files, key.public_key())
+        examine.require_in_use(files, key.public_key())
         certificate, warnings = _certificate(files, key, above)
     changes += _stored(inputs, name, certificate)
     signer = SigningAuthority(name, certificate, pem, secret, token_key=key if spec.key.uri else None)
@@ -265,8 +265,8 @@ def _without_key(files: AuthorityFiles, above: MintedAuthority | None, signing_e
     spec, content = files.authority.certificate, files.content or b""
     certificate = certificates.load(content, files.certificate_file)
     public_key = certificates.public_key(certificate, files.certificate_file)
-    authority_files.require_rollover(files, public_key)
-    authority_files.require_in_use(files, public_key)
+    examine.require_rollover(files, public_key)
+    examine.require_in_use(files, public_key)
     if not keys.fits(public_key, spec.key) or not authority_files.satisfies(
         content, spec, public_key, above.certificate if above else None
     ):
@@ -295,7 +295,7 @@ def token_key(inputs: Inputs, files: AuthorityFiles, *, renew: bool) -> keys.Pri
         public, where = certificates.public_key(present), files.certificate_file
     else:
         if not renew:
-            authority_files.require_unused(files)
+            examine.require_unused(files)
         public, where = inputs.tokens.public_key(spec.key, spec.origin), spec.origin
     if not keys.fits(public, spec.key):
         raise KeymintError(

@@ -17,7 +17,7 @@ from comarmor.errors import Diagnostic, Origin
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint.api import Authority, AuthorityIssuance, Implementation, Validity
-from keymint.authority import authority_files
+from keymint.authority import authority_files, examine
 from keymint.authority.authorities import (
     STAGE,
     MintedAuthority,
@@ -153,7 +153,7 @@ def plan_import(session: Session, name: str, given: GivenAuthority) -> Plan:
     certificate, key = cert_and_key(session, authority, given)
     public = certificates.public_key(certificate, given.where)
     files = authority_files.read_files(session, authority)
-    authority_files.require_known(files, public, given.where)
+    examine.require_known(files, public, given.where)
     changes: list[FolderChange] = []
     key_path, stored = session.workspace.authority_key(name), authority_files.stored_key(session, authority, name)
     present = stored[1].public_key() if stored else None
@@ -214,7 +214,7 @@ def cert_and_key(session: Session, authority: Authority, given: GivenAuthority) 
     secret = password(session, spec)
     private = keys.from_pem(given.key, secret, given.key_file)
     of, help_ = str(given.where), "name the files that belong together"
-    authority_files.require_pair(private, certificate, given.key_file, of, help_)
+    examine.require_pair(private, certificate, given.key_file, of, help_)
     return certificate, keys.to_pem(private, secret)
 
 

@@ -20,7 +20,7 @@ from dataclasses import replace
 from cryptography import x509
 
 from keymint.api import Authority, AuthorityIssuance, Phase, Rollover, SigningAuthority
-from keymint.authority import authority_files
+from keymint.authority import authority_files, examine
 from keymint.authority.authorities import (
     STAGE,
     MintedAuthority,
@@ -101,7 +101,7 @@ def plan_switch(session: Session, name: str) -> Plan:
     if next_key is not None:
         where, help_ = session.workspace.origin(next_path), f"'keymint authority replace {name} --cancel'"
         of = f"the next certificate of {name!r}"
-        authority_files.require_pair(next_key[1], following, where, of, f"restore it, or give up with {help_}")
+        examine.require_pair(next_key[1], following, where, of, f"restore it, or give up with {help_}")
         files[key_path.name] = File(next_key[0], secret=True)
         removed = (next_path.name,)
     issuance = _issuance_of(session, name, rollover.certificate)

@@ -23,9 +23,8 @@ below, since stages and the life of keys ask
 ``keymint.pki.identity_check``                certificate, key and authority of an enclave, and its dates
 ``keymint.pki.certification_path``            the path of a certificate (RFC 5280)
 ``keymint.pki.foreign_authorities``           what the certificate of an authority lacks
-``keymint.authority.authority_files``         evidence for an authority's key: ``require_*``
-``keymint.stages.proof.trust_anchors``        what an enclave must rest on, and what contradicts it
-``keymint.stages.identities``              a key has one owner
+``keymint.authority.examine``                 evidence for an authority's key and certificate, and what contradicts it
+``keymint.life.examine``                      a key has one owner; rights that stay good; enclaves without sources
 ``keymint.life.terms``                        what is over, to come, or ends soon
 ``keymint.life.revocation_lists_in_force``    the list that an enclave must have
 ``keymint.adoption``                          reads keystores of other tools, and compares them with a policy

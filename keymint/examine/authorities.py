@@ -21,7 +21,7 @@ from cryptography import x509
 
 from comarmor.errors import Defects, Diagnostic
 from keymint.api import ValidityTerm
-from keymint.authority import authority_files
+from keymint.authority import authority_files, examine
 from keymint.authority.authorities import key_copies
 from keymint.authority.authority_files import AuthorityFiles, authority_keys, other
 from keymint.errors import KeymintError
@@ -30,7 +30,6 @@ from keymint.life import terms
 from keymint.life.package_issuance import place_of
 from keymint.names import subject_of
 from keymint.pki import certificates, key_files, keys
-from keymint.stages.proof.trust_anchors import certificate_contradictions
 from keymint.workspace.installed_enclaves import installed_certificate
 from keymint.workspace.session import Inputs, Session
 from keymint.workspace.stored_keys import key_defects
@@ -65,25 +64,13 @@ def authorities(session: Session, within: timedelta) -> Iterator[Diagnostic]:
             for found in terms.findings([term], session.now, "", within):
                 yield replace(found, help=found.help.replace("renew'", f"renew {authority.name}'"))
     with Defects() as defects:
-        authority_files.require_own_keys(session, fingerprints)
+        examine.require_own_keys(session, fingerprints)
     yield from defects.found
 
 
 def in_defect(findings: tuple[Diagnostic, ...]) -> Diagnostic | None:
     """Return a finding that makes installing fail until a person decides, or None."""
-    return next((finding for finding in findings if finding.code in _DECIDED_BY_A_PERSON), None)
-
-
-_DECIDED_BY_A_PERSON = frozenset(
-    {
-        "authority-key-mismatch",
-        "authority-key-shared",
-        "authority-renamed",
-        "authority-replaced",
-        "key-invalid",
-        "key-kind",
-    }
-)
+    return next((finding for finding in findings if finding.code in examine.DECIDED_BY_A_PERSON), None)
 
 
 def _key(inputs: Inputs, files: AuthorityFiles) -> Generator[Diagnostic, None, keys.PublicKey | None]:
@@ -103,7 +90,7 @@ def _certificate(
 ) -> Iterator[Diagnostic]:
     """Check a certificate against its key, the certificates in use, and the profile."""
     spec, certificate = files.authority.certificate, files.certificate
-    defects = certificate_contradictions(files, key)
+    defects = examine.certificate_contradictions(files, key)
     if certificate is None:
         help_ = "'keymint install' restores it" if files.key else "restore it from a backup"
         defects = tuple(replace(defect, help=help_) for defect in defects)

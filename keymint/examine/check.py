@@ -40,12 +40,12 @@ from keymint.examine.files import (
 )
 from keymint.examine.keystore import deciding_findings, staged_keystore_session
 from keymint.executors import Pool
+from keymint.life.examine import Keyring, orphan_findings, shared_keys
 from keymint.life.workspace_register import withdrawn
 from keymint.names import subject_of
 from keymint.pki import key_files, keys
 from keymint.stages import identities
 from keymint.stages.documents import built_documents
-from keymint.stages.identities import Keyring
 from keymint.stages.proof.trust_anchors import unvouched
 from keymint.store.changes import file_mode
 from keymint.view.stamps import digest
@@ -55,7 +55,6 @@ from keymint.workspace.installed_enclaves import (
     enclave_files,
     files_in,
     not_installed,
-    orphan_findings,
     with_sources,
 )
 from keymint.workspace.package_build_types import BUILD, build_types_of, is_build_current
@@ -105,9 +104,7 @@ def load(session: Session, name: str, within: timedelta) -> LoadedEnclave:
         return LoadedEnclave(None, unread=tuple(error.diagnostics))
 
 
-def examine(
-    session: Session, loaded: LoadedEnclave, keyring: identities.Keyring
-) -> tuple[str, str, tuple[Diagnostic, ...]]:
+def examine(session: Session, loaded: LoadedEnclave, keyring: Keyring) -> tuple[str, str, tuple[Diagnostic, ...]]:
     """Check one enclave, and what of it the authorities of the workspace do not vouch for.
 
     Args:
@@ -204,9 +201,7 @@ def _built(build_type: BuildType, package: Package) -> Mapping[str, bytes]:
     return build_type.build(package, BuildOptions(allow_vendor_specific=True)).documents
 
 
-def _identity_key(
-    session: Session, package: Package, keyring: identities.Keyring
-) -> tuple[str, tuple[Diagnostic, ...]]:
+def _identity_key(session: Session, package: Package, keyring: Keyring) -> tuple[str, tuple[Diagnostic, ...]]:
     """Return the fingerprint of a package's key (empty if it cannot be read), and the findings on it.
 
     Args:
@@ -300,7 +295,7 @@ def check(session: Session, names: Sequence[str], within: timedelta, pool: Pool)
     findings += orphan_findings(session)
     findings += (each for each in decides if each not in findings)  # the defects of packages are found above
     fingerprints = {name: fingerprint for name, fingerprint, _ in enclaves if fingerprint}
-    findings += identities.shared_keys(session, fingerprints)
+    findings += shared_keys(session, fingerprints)
     findings += (*elsewhere(session), *encryption(session), *exposed_keys(session))
     findings += around
     later = _without_install_hints(findings, in_defect(of_authorities))

@@ -21,9 +21,10 @@ from keymint.authority.rollover import staged_session
 from keymint.errors import KeymintError
 from keymint.examine.rights import presented_rights
 from keymint.executors import Pool
+from keymint.life.examine import RIGHTS_OUTLIVE
 from keymint.life.revocation_lists_in_force import enclave_lists
 from keymint.life.terms import iso_time
-from keymint.life.workspace_register import RIGHTS_OUTLIVE, complete_register, issuer_of, register_of
+from keymint.life.workspace_register import complete_register, issuer_of, register_of
 from keymint.names import subject_of
 from keymint.pki import certificate_forms, certificates, revocation_lists
 from keymint.stages.proof.proof_results import ProofEffort, ProofResults

@@ -23,8 +23,9 @@ from keymint.authority.authority_files import chains_digest
 from keymint.errors import KeymintError
 from keymint.examine.weaknesses import signing_issuers
 from keymint.ir import DeferredRules, Rule, SubjectRules
+from keymint.life.examine import excess_of, outliving_rights
 from keymint.life.register import SignedRights, register_error
-from keymint.life.workspace_register import excess_of, has_register, issuer_of, outliving_rights, register_of
+from keymint.life.workspace_register import has_register, issuer_of, register_of
 from keymint.names import ROOT, package_name, subject_of
 from keymint.pki import certificates, distinguished_names, smime
 from keymint.pki.distinguished_names import to_text

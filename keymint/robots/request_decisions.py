@@ -13,17 +13,17 @@ from dataclasses import replace
 from comarmor.errors import Defects, Origin
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
-from keymint.api import Package
 from keymint.errors import KeymintError
+from keymint.life.examine import Keyring
 from keymint.life.package_issuance import place_of, plan_issuance
 from keymint.life.workspace_register import register_of
 from keymint.names import subject_of
 from keymint.pki import keys, public_keys
 from keymint.pki.distinguished_names import common_name
 from keymint.robots.certification_request import CertificationRequest
-from keymint.stages.identities import Keyring, known_fingerprint
 from keymint.store.changes import Plan
 from keymint.workspace.session import Session
+from keymint.workspace.stored_keys import known_fingerprint
 
 STAGE = "sign"
 
@@ -65,7 +65,6 @@ def plan_requests(
                 code="package-unknown",
             )
     requests: dict[str, CertificationRequest] = {}
-    owners: dict[str, str] = {}
     defects, keyring = Defects(), Keyring(session)
     for each in given:
         with defects:
@@ -74,11 +73,7 @@ def plan_requests(
                 raise _refused(
                     f"is for {subject_of(name)}, as another request is", each, "sign the later one", "request-twice"
                 )
-            _require_certifiable(session, session.package(name), each, keyring)
-            if (other := owners.setdefault(each.request.fingerprint, name)) != name:
-                raise _refused(
-                    f"has the key that {subject_of(other)} asks a certificate for", each, _AGAIN, "key-shared"
-                )
+            keyring.require_certifiable(session.package(name), each.request.public_key, each.where)
             requests[name] = each.request
     defects.require_none()
     new = {
@@ -87,9 +82,6 @@ def plan_requests(
         if not _is_kept_here(session, name, request)
     }
     return plan_issuance(session, STAGE, new, "its key is on the robot"), requests
-
-
-_AGAIN = "make a new key on the robot: 'keymint request --rekey', with --discard if a request waits for its answer"
 
 
 def _package(session: Session, given: Given, fingerprints: Mapping[str, str]) -> str:
@@ -143,35 +135,6 @@ def current_fingerprint(session: Session, name: str) -> str:
 def _is_kept_here(session: Session, name: str, request: CertificationRequest) -> bool:
     """Tell whether the workspace has the private key itself, as that of a robot that was provisioned from here."""
     return not session.issuance(name).public_key and known_fingerprint(session, name) == request.fingerprint
-
-
-def _require_certifiable(session: Session, package: Package, given: Given, keyring: Keyring) -> None:
-    request, spec = given.request, package.identity.key
-    key = public_keys.from_pem(request.public_key, given.where)
-    if not keys.fits(key, spec):
-        raise _refused(
-            f"is not for {keys.key_description(spec)}, which {package.identity.origin} asks for",
-            given,
-            "make a key of that kind on the robot (keymint request --key-type), or change the sources",
-            "key-kind",
-        )
-    if reason := register_of(session).barred(request.fingerprint):
-        raise _refused(f"is for a key that was revoked ({reason})", given, _AGAIN, "key-barred")
-    keyring.require_free(package.name, key)
-    _require_unknown(session, package.name, given)
-
-
-def _require_unknown(session: Session, name: str, given: Given) -> None:
-    """Require that no other package has the key, or ever had it."""
-    for other in session.packages():
-        public = session.issuance(other).public_key if other != name else b""
-        if public == given.request.public_key:
-            raise _refused(
-                f"has the key of {subject_of(other)}, so that each could act as the other", given, _AGAIN, "key-shared"
-            )
-    for issued in register_of(session).certificates.values():
-        if issued.key == given.request.fingerprint and issued.name not in {"", name}:
-            raise _refused(f"has a key that was certified for /{issued.name} before", given, _AGAIN, "key-shared")
 
 
 def _refused(message: str, given: Given, help_: str, code: str) -> KeymintError:

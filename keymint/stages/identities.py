@@ -7,7 +7,6 @@ subject's permissions to whoever replaced it.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
@@ -16,7 +15,7 @@ from cryptography import x509
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Artifact, EnclaveCredentials, Package, SigningAuthority
 from keymint.authority.authorities import MintedAuthority
-from keymint.authority.authority_files import authority_keys, trusted_chains
+from keymint.authority.authority_files import trusted_chains
 from keymint.errors import KeymintError, known_authority
 from keymint.life.package_issuance import place_of
 from keymint.life.register import SUPERSEDED, IssuedCertificate, Register
@@ -26,21 +25,11 @@ from keymint.names import subject_of
 from keymint.pki import certificates, keys, public_keys
 from keymint.store.changes import FolderChange, secret_file
 from keymint.view.stamps import digest, digest_files
-from keymint.workspace.installed_enclaves import CERTIFICATE, INSTALLED, KEY, enclave_names, installed_certificate
+from keymint.workspace.installed_enclaves import CERTIFICATE, KEY
 from keymint.workspace.package_build_types import build_types_of, roles_of, two_writers
 from keymint.workspace.session import Inputs, Session
-from keymint.workspace.stored_keys import IDENTITY_KEYS, load_key, recorded_key
+from keymint.workspace.stored_keys import key_place, key_remedy, key_renewal, known_fingerprint, load_key
 from keymint.workspace.workspace import with_place
-
-
-def _remedy(name: str) -> str:
-    """Return how to fix a key that cannot be used."""
-    restored = f"remove it and run 'keymint build {name}' to restore it from the enclave"
-    return f"{restored}, or mint a new one with {_new(name)}"
-
-
-def _new(name: str) -> str:
-    return f"'keymint build --renew {name}'"
 
 
 def key_digest(session: Session, name: str) -> str | None:
@@ -113,14 +102,9 @@ def public_key(session: Session, package: Package) -> keys.PublicKey:
         return public_keys.from_pem(package.issuance.public_key, place_of(session, package.name))
     if is_awaited(package):
         raise KeymintError.of([replace(unknown_key(package), severity=Severity.ERROR)])
-    pem, place = private_key(session, package), _place(session, package.name)
+    pem, place = private_key(session, package), key_place(session, package.name)
     _require_plain(session, package, pem)
-    return load_key(session, keys.public_of, pem, package.identity, place, _remedy(package.name))
-
-
-def _place(inputs: Inputs, name: str) -> Origin:
-    """Return the place of a package's stored private key."""
-    return inputs.workspace.origin(inputs.workspace.identity_key(name))
+    return load_key(session, keys.public_of, pem, package.identity, place, key_remedy(package.name))
 
 
 def _require_plain(inputs: Inputs, package: Package, pem: bytes = b"") -> None:
@@ -139,8 +123,8 @@ def _require_plain(inputs: Inputs, package: Package, pem: bytes = b"") -> None:
         message, where = f"asks for an encrypted private key, but {why}", package.identity.origin
         help_ = "write NoEncryption and an empty <password_env>, there or in the defaults of identities"
     elif keys.is_encrypted(pem):
-        message, where = f"is encrypted, but {why}", _place(inputs, package.name)
-        help_ = f"make a new one with {_new(package.name)}"
+        message, where = f"is encrypted, but {why}", key_place(inputs, package.name)
+        help_ = f"make a new one with {key_renewal(package.name)}"
     else:
         return
     raise KeymintError(message, where=where, help=help_, code="identity-encrypted")
@@ -176,123 +160,11 @@ def restore_or_mint(session: Session, package: Package) -> tuple[FolderChange, s
     if there != known:
         raise KeymintError(
             f"the private key of {subject_of(package.name)} is missing",
-            where=_place(session, package.name),
-            help=f"restore it from a backup, or mint a new one with {_new(package.name)}",
+            where=key_place(session, package.name),
+            help=f"restore it from a backup, or mint a new one with {key_renewal(package.name)}",
             code="key-missing",
         )
     return secret_file(session.workspace.identity_key(package.name), pem), there
-
-
-def known_fingerprint(session: Session, name: str) -> str:
-    """Return the fingerprint of the key that a package's subject has, or an empty text.
-
-    That is the recorded key, or if the record was lost the key of the installed certificate. Before anything is
-    installed the subject has none: the user may replace the minted key with one of their own.
-    """
-    recorded = recorded_key(session.state, IDENTITY_KEYS, name)
-    if recorded and session.state.stamp(INSTALLED, name):
-        return recorded
-    certificate = installed_certificate(session, name)
-    return (recorded or certificates.fingerprint(certificate)) if certificate else ""
-
-
-class Keyring:
-    """The known keys of subjects and authorities, to compare the stored key of a subject with.
-
-    Args:
-        session: the workspace and its profile, with the authorities as they will be.
-    """
-
-    def __init__(self, session: Session) -> None:
-        self._session = session
-        self._authorities = authority_keys(session)
-
-    def require_own(self, package: Package, key: keys.PublicKey) -> str:
-        """Require that the key of a package is its subject's, and nobody else's; returns its fingerprint.
-
-        Args:
-            package: the package.
-            key: its public key.
-
-        Raises:
-            KeymintError: it is an authority's key, was replaced, or belongs to another subject.
-        """
-        name, session = package.name, self._session
-        if package.issuance.public_key:
-            return self.require_free(name, key)
-        state, fingerprint = session.state, keys.fingerprint(key)
-        if fingerprint in self._authorities:
-            owner = f"the authority {self._authorities[fingerprint]!r}"
-            raise _shared(session, name, owner, "key-of-authority")
-        known = known_fingerprint(session, name)
-        if known and known != fingerprint:
-            raise KeymintError(
-                f"is not the private key that {subject_of(name)} had: it was replaced",
-                where=_place(session, name),
-                help=_remedy(name),
-                code="key-replaced",
-            )
-        if recorded_key(state, IDENTITY_KEYS, name) != fingerprint:  # so it may not be its own
-            for other in self._owners.get(fingerprint, ()):
-                if other != name:
-                    raise _shared(session, name, subject_of(other))
-        return fingerprint
-
-    def require_free(self, name: str, key: keys.PublicKey) -> str:
-        """Require that a key whose private half is elsewhere is nobody else's; returns its fingerprint.
-
-        It may differ from the one that the subject had: an authority decided so in the sources.
-
-        Args:
-            name: the package.
-            key: its public key.
-
-        Raises:
-            KeymintError: it is an authority's key, or belongs to another subject.
-        """
-        fingerprint = keys.fingerprint(key)
-        owner = f"the authority {self._authorities[fingerprint]!r}" if fingerprint in self._authorities else ""
-        others = [other for other in self._owners.get(fingerprint, ()) if other != name]
-        if owner or others:
-            raise KeymintError(
-                f"the public key of {subject_of(name)} is that of {owner or subject_of(others[0])}",
-                where=place_of(self._session, name),
-                help="make a new key with 'keymint request' on the machine of this subject, then run 'keymint sign'",
-                code="key-of-authority" if owner else "key-shared",
-            )
-        return fingerprint
-
-    @functools.cached_property
-    def _owners(self) -> Mapping[str, Sequence[str]]:
-        """Packages by the fingerprints of their keys."""
-        recorded = self._session.state.stamps.get(IDENTITY_KEYS, {})
-        owners: dict[str, list[str]] = {}
-        for name in sorted({*recorded, *enclave_names(self._session)}):
-            if name in recorded:
-                owners.setdefault(recorded[name].inputs, []).append(name)
-            elif certificate := installed_certificate(self._session, name):
-                owners.setdefault(certificates.fingerprint(certificate), []).append(name)
-        return owners
-
-
-def shared_keys(inputs: Inputs, fingerprints: Mapping[str, str]) -> Iterator[Diagnostic]:
-    """Yield an error for each key that two packages have; takes fingerprints by package."""
-    owners: dict[str, str] = {}
-    for name, fingerprint in fingerprints.items():
-        other = owners.setdefault(fingerprint, name)
-        if other != name:
-            found = _shared(inputs, name, subject_of(other)).diagnostics
-            yield from (replace(each, subject=subject_of(name)) for each in found)
-
-
-def _shared(inputs: Inputs, name: str, owner: str, code: str = "key-shared") -> KeymintError:
-    """Return the error for a subject that has the key of another one, or of an authority."""
-    return KeymintError(
-        f"is the private key of {owner} as well, so that each could act as the other",
-        where=_place(inputs, name),
-        help=_remedy(name),
-        code=code,
-    )
 
 
 # -- the certificate, and signatures --------------------------------------------------------------------------------

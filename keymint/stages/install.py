@@ -15,6 +15,7 @@ from keymint.authority.authorities import MintedAuthority
 from keymint.authority.authority_files import chains_digest
 from keymint.errors import KeymintError
 from keymint.life import revocation_lists_in_force, terms, workspace_register
+from keymint.life.examine import Keyring, orphan_findings, replaced_rights, shared_keys
 from keymint.life.register import SignedRights
 from keymint.life.terms import iso_time
 from keymint.life.workspace_register import register_of
@@ -34,7 +35,7 @@ from keymint.stages.documents import (
     sign_shared,
 )
 from keymint.stages.environment_scripts import plan_scripts
-from keymint.stages.identities import Keyring, sign
+from keymint.stages.identities import sign
 from keymint.stages.work import PackagePlan, PackageStage, state_after, steps_of
 from keymint.store.changes import Action, File, FolderChange, Plan, Step, by_folder
 from keymint.view.stamps import Stamp, digest, digest_files
@@ -46,7 +47,6 @@ from keymint.workspace.installed_enclaves import (
     enclave_names,
     has_outputs,
     new_files,
-    orphan_findings,
     orphans,
     require_sources,
 )
@@ -95,7 +95,7 @@ class InstallStage(PackageStage):
         session, prune = self._session, self._prune
         fingerprints = {each.name: each.fingerprint for each in planned if each.fingerprint}
         errors = [error for each in planned for error in each.errors]
-        errors += identities.shared_keys(session, fingerprints)
+        errors += shared_keys(session, fingerprints)
         if errors:
             raise KeymintError.of(errors)
         # Shared documents come first: rights end before an enclave is removed, and begin before one is there. So do
@@ -112,7 +112,7 @@ class InstallStage(PackageStage):
         diagnostics += _outdated(session, [each.name for each in planned if each.outdated])
         diagnostics += (diagnostic for each in shared for diagnostic in each.diagnostics)
         diagnostics += terms.of_sources({each.name: each.lifetimes for each in planned}, session)
-        diagnostics += [each for each in orphan_findings(session) if not prune or each.code != "enclave-orphaned"]
+        diagnostics += orphan_findings(session, pruned=prune)
         state = state_after(session.state, STAGE, [*shared, *planned], (*removed, *withdrawn))
         steps += [enclave_changes.withdraw(session, name, reason, changes) for name, reason in withdrawn.items()]
         if prune:
@@ -187,7 +187,7 @@ def _plan_enclave(
         return PackagePlan(name, withdrawn=reason)
     artifacts, issued, warnings = sign(session, package, documents, authorities, (key_pem, public), existing)
     new = {file: artifact.content for file, artifact in artifacts.items()}
-    outliving = workspace_register.replaced_rights(session, package, existing, new)
+    outliving = replaced_rights(session, package, existing, new)
     in_force = revocation_lists_in_force.enclave_lists(session).get(package.identity.issuer)
     for file, artifact in artifacts.items():
         if in_force and artifact.content == in_force:

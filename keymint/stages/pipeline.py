@@ -15,10 +15,11 @@ from comarmor.values import dataclass
 from keymint.api import BuildOptions, LoadedPolicy, Role
 from keymint.authority.authorities import MintedAuthority, plan_authorities
 from keymint.authority.authority_files import current_rollover, trusted_chains
+from keymint.life.examine import RIGHTS_OUTLIVE
 from keymint.life.package_issuance import plan_revocation
 from keymint.life.register import SUPERSEDED
 from keymint.life.revocation_lists_in_force import enclave_lists, plan_lists, require_nothing_lost
-from keymint.life.workspace_register import RIGHTS_OUTLIVE, complete_register
+from keymint.life.workspace_register import complete_register
 from keymint.names import name_of
 from keymint.pki import certificates
 from keymint.stages import install

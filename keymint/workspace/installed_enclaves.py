@@ -50,31 +50,15 @@ def with_sources(session: Session) -> tuple[str, ...]:
 
 def orphans(session: Session) -> tuple[str, ...]:
     """Return the installed enclaves without a source package, sorted, except those that KEYMINT_IGNORE hides."""
-    return tuple(name for name, marker in _unknown(session) if marker is None)
+    return tuple(name for name, marker in unknown_enclaves(session) if marker is None)
 
 
 def hidden(session: Session) -> tuple[str, ...]:
     """Return the installed enclaves whose source packages a KEYMINT_IGNORE hides, sorted."""
-    return tuple(name for name, marker in _unknown(session) if marker is not None)
+    return tuple(name for name, marker in unknown_enclaves(session) if marker is not None)
 
 
-def orphan_findings(session: Session) -> Iterator[Diagnostic]:
-    """Yield a finding for each installed enclave without a visible source package."""
-    for name, marker in _unknown(session):
-        if marker is None:
-            code, where = "enclave-orphaned", None
-            message = f"the enclave {subject_of(name)} is installed, but has no source package"
-            help_ = "'keymint install --prune' removes it"
-        else:
-            code, where = "enclave-ignored", session.workspace.origin(marker)
-            message = (
-                f"hides the source package of the installed enclave {subject_of(name)}, which is not checked or updated"
-            )
-            help_ = "remove this file, or the enclave"
-        yield Diagnostic.warning(code, message, where, help_, subject_of(name))
-
-
-def _unknown(session: Session) -> Iterator[tuple[str, Path | None]]:
+def unknown_enclaves(session: Session) -> Iterator[tuple[str, Path | None]]:
     """Yield the installed enclaves without a visible source package, each with the marker that hides the package."""
     src, known = session.workspace.src, set(session.packages())
     for name in enclave_names(session):

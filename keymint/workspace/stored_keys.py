@@ -11,9 +11,10 @@ from typing import TypeVar
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import CertificateSpec
 from keymint.errors import KeymintError
-from keymint.pki import keys
+from keymint.pki import certificates, keys
 from keymint.view.stamps import Stamp, State
-from keymint.workspace.session import Inputs
+from keymint.workspace.installed_enclaves import INSTALLED, installed_certificate
+from keymint.workspace.session import Inputs, Session
 
 _Key = TypeVar("_Key", bound=keys.PrivateKey | keys.PublicKey)
 MAX_PASSWORD = 1023
@@ -119,3 +120,32 @@ def with_recorded_keys(state: State, stage: str, fingerprints: Mapping[str, str]
 def without_recorded_keys(state: State, stage: str, names: tuple[str, ...]) -> State:
     """Return the state without the keys of these authorities or packages."""
     return state.updated(stage, {}, names) if any(recorded_key(state, stage, name) for name in names) else state
+
+
+def known_fingerprint(session: Session, name: str) -> str:
+    """Return the fingerprint of the key that a package's subject has, or an empty text.
+
+    That is the recorded key, or if the record was lost the key of the installed certificate. Before anything is
+    installed the subject has none: the user may replace the minted key with one of their own.
+    """
+    recorded = recorded_key(session.state, IDENTITY_KEYS, name)
+    if recorded and session.state.stamp(INSTALLED, name):
+        return recorded
+    certificate = installed_certificate(session, name)
+    return (recorded or certificates.fingerprint(certificate)) if certificate else ""
+
+
+def key_place(inputs: Inputs, name: str) -> Origin:
+    """Return the place of a package's stored private key."""
+    return inputs.workspace.origin(inputs.workspace.identity_key(name))
+
+
+def key_remedy(name: str) -> str:
+    """Return how to fix the key of a package that cannot be used."""
+    restored = f"remove it and run 'keymint build {name}' to restore it from the enclave"
+    return f"{restored}, or mint a new one with {key_renewal(name)}"
+
+
+def key_renewal(name: str) -> str:
+    """Return the command that makes a new key for a package."""
+    return f"'keymint build --renew {name}'"

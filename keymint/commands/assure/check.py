@@ -21,7 +21,8 @@ from keymint.examine.check import check as find
 from keymint.examine.keystore import SHOWN_NOTES, not_examined, proven_keystore
 from keymint.examine.nodes import NODE_NOTES, of_packages
 from keymint.executors import Pool
-from keymint.life.workspace_register import RIGHTS_OUTLIVE, with_enclaves
+from keymint.life.examine import RIGHTS_OUTLIVE
+from keymint.life.workspace_register import with_enclaves
 from keymint.names import subject_of
 from keymint.output.report import merged_diagnostics
 from keymint.output.sarif import of_diagnostics

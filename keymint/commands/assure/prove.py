@@ -18,6 +18,7 @@ from keymint.command_line.verb import Number, Report, Run, argument, findings_ex
 from keymint.errors import ExitCode, KeymintError
 from keymint.examine import keystore
 from keymint.life import terms
+from keymint.life.examine import orphan_findings
 from keymint.life.workspace_register import has_register, with_enclaves
 from keymint.output.json import line_json
 from keymint.stages.create import subjects_without_package
@@ -25,7 +26,6 @@ from keymint.stages.proof.proof_results import STATES, EnclaveProof, ProofEffort
 from keymint.stages.proof.prove import NO_PROVER, STAGE
 from keymint.stages.proof.trust_anchors import differences
 from keymint.store.changes import Action, Step
-from keymint.workspace.installed_enclaves import orphan_findings
 from keymint.workspace.policy_loading import lazy_policy
 from keymint.workspace.session import Session
 

@@ -12,6 +12,7 @@ from dataclasses import replace
 from comarmor.errors import Defects, Diagnostic
 from keymint import __version__, api
 from keymint.authority.authority_files import chains_digest
+from keymint.authority.examine import contradictions_for
 from keymint.errors import KeymintError
 from keymint.executors import Pool
 from keymint.ir import SubjectRules
@@ -20,7 +21,7 @@ from keymint.names import name_of, subject_of
 from keymint.stages.documents import documents_digest, enclaves_of, installed_documents
 from keymint.stages.proof import proof_results
 from keymint.stages.proof.proof_results import EnclaveProof, ProofEffort, ProofResults
-from keymint.stages.proof.trust_anchors import anchors_of, contradictions_for, shared_anchors, unread_of
+from keymint.stages.proof.trust_anchors import anchors_of, shared_anchors, unread_of
 from keymint.stages.work import PackageStage
 from keymint.view.stamps import Stamp, digest, digest_files
 from keymint.workspace import package_build_types

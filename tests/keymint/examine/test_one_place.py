@@ -14,7 +14,6 @@ JUDGES = (
     "keymint/examine/",
     "keymint/pki/identity_check.py",
     "keymint/pki/certification_path.py",
-    "keymint/stages/proof/trust_anchors.py",
     "keymint/adoption/keystore_files.py",
     "plugins/keymint_ros2_dds/examine/",
     "plugins/keymint_ros2_zenoh/examine/",
