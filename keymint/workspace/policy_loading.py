@@ -114,10 +114,10 @@ def lazy_policy(session: Session) -> LoadedPolicy:
     Loading a large policy costs more than everything else in a run without changes. The record has the paths that the
     policy was read from and the subjects that it names.
     """
-    recorded = session.state.stamp(_STAGE, _FILES)
+    recorded = recorded_files(session)
     if recorded is None or not is_unchanged(session):
         return load_policy(session)
-    seen = {Path(path): bytes.fromhex(value) for path, value in recorded.outputs.items()}
+    seen = {Path(path): bytes.fromhex(value) for path, value in recorded.items()}
     return _LazyPolicy(seen, tuple(sorted(recorded_subjects(session))), functools.partial(load_policy, session))
 
 
@@ -128,13 +128,11 @@ def is_recorded(session: Session) -> bool:
 
 def is_unchanged(session: Session) -> bool:
     """Tell whether the policy would be read from the recorded files with the recorded content."""
-    recorded = session.state.stamp(_STAGE, _FILES)
-    policy_type = session.policy_type
+    recorded, fingerprint = recorded_files(session), session.policy_type.fingerprint
     return (
         recorded is not None
         and session.state.stamp(_STAGE, _SUBJECTS) is not None
-        and recorded.inputs == locations_digest(session)
-        and all(policy_type.fingerprint(Path(path)).hex() == value for path, value in recorded.outputs.items())
+        and all(fingerprint(Path(path)).hex() == value for path, value in recorded.items())
     )
 
 
