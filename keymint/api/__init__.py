@@ -78,7 +78,6 @@ from keymint.api.policies import WrittenProfile as WrittenProfile
 from keymint.api.policies import WrittenRule as WrittenRule
 from keymint.api.profiles import AcceptedPackage as AcceptedPackage
 from keymint.api.profiles import Bootstrap as Bootstrap
-from keymint.api.profiles import InfrastructurePackage as InfrastructurePackage
 from keymint.api.profiles import ProfileType as ProfileType
 from keymint.api.profiles import WorkspaceProfile as WorkspaceProfile
 from keymint.api.proving import Claim as Claim

@@ -25,7 +25,7 @@ from keymint.api.building import (
 from keymint.api.foreign_keystores import KeystoreReader
 from keymint.api.graph import Edge
 from keymint.api.packages import Package, PackageSettings, PackageSources
-from keymint.api.profiles import InfrastructurePackage, WorkspaceProfile
+from keymint.api.profiles import WorkspaceProfile
 from keymint.api.proving import Claim, Prover, SharedProofTask
 from keymint.api.rights import Presentation
 from keymint.api.transports import Enclave, Endpoint
@@ -218,13 +218,13 @@ class BuildType(ABC):
     The documents of such a workspace may name files by their absolute path, so they are built again when it moves.
     """
 
-    def packages(self, profile: WorkspaceProfile) -> Sequence[InfrastructurePackage]:
-        """Return the packages that a workspace needs for them.
+    def packages(self, profile: WorkspaceProfile) -> Mapping[str, str]:
+        """Return the packages that a workspace needs for them: by name, what each is for, e.g. ``the broker``.
 
         Raises:
             KeymintError: with ``file:line`` of a defect of the profile, or the transport cannot serve it.
         """
-        return ()
+        return {}
 
     # -- which names and rules it has ----------------------------------------------------------------------------------
 

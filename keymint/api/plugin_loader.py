@@ -252,9 +252,9 @@ class Plugins:
         named = (name for name in self.names("keymint.transports") if name not in others)
         return [name for name in named if self.read_by(name) == build_type]
 
-    def graph_source(self, name: str, where: Origin | None = None) -> GraphSource:
+    def graph_source(self, name: str) -> GraphSource:
         """Return the graph source of this name; see :meth:`load`."""
-        return cast("GraphSource", self.load("keymint.graph_sources", name, where))
+        return cast("GraphSource", self.load("keymint.graph_sources", name))
 
     def policy_format(self, name: str) -> PolicyFormat:
         """Return the policy format of this name; see :meth:`load`."""

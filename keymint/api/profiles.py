@@ -70,19 +70,6 @@ class WorkspaceProfile:
 
 
 @dataclass(frozen=True, slots=True)
-class InfrastructurePackage:
-    """A package that a transport needs beside those of the subjects.
-
-    Attributes:
-        name: package name.
-        title: what it is for, as part of a sentence, e.g. ``the broker``.
-    """
-
-    name: str
-    title: str
-
-
-@dataclass(frozen=True, slots=True)
 class Bootstrap:
     """A request to create a profile, from the options of ``keymint init``.
 

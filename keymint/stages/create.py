@@ -65,18 +65,18 @@ def stale(session: Session, policy: api.LoadedPolicy, names: Sequence[str]) -> M
     return differing
 
 
-def refuse_named(policy: api.LoadedPolicy, infrastructure: Mapping[str, tuple[api.InfrastructurePackage, str]]) -> None:
+def refuse_named(policy: api.LoadedPolicy, infrastructure: Mapping[str, tuple[str, str]]) -> None:
     """Refuse a policy that names a package of infrastructure exactly.
 
     Raises:
         KeymintError: it names one, at the profile that does.
     """
     subjects = set(policy.subjects())
-    for name, (package, _) in infrastructure.items():
+    for name, (title, _) in infrastructure.items():
         if subject_of(name) in subjects:
             profiles = policy.profiles(subject_of(name))
             raise KeymintError(
-                f"the policy names {subject_of(name)}, which is {package.title} and no subject of the policy",
+                f"the policy names {subject_of(name)}, which is {title} and no subject of the policy",
                 where=profiles[-1].where if profiles else None,
                 help="rename the subject, or give the package of the transport another name in the profile",
                 code="infrastructure-named",

@@ -16,7 +16,6 @@ from comarmor.values import dataclass
 from keymint import __version__
 from keymint.api import (
     BuildType,
-    InfrastructurePackage,
     Issuance,
     Layout,
     Package,
@@ -362,23 +361,23 @@ class Session(Inputs):
             return Role.SUBJECT
         return self.made(("role", found), lambda: self.package_type.role(self.tree.read(marker) or b""))
 
-    def needed_infrastructure(self) -> Mapping[str, tuple[InfrastructurePackage, str]]:
-        """Return the packages of infrastructure that the profile's build types need, each with its build type, by name.
+    def needed_infrastructure(self) -> Mapping[str, tuple[str, str]]:
+        """Return what the packages of infrastructure are for that the profile's build types need, and these, by name.
 
         Raises:
             KeymintError: two build types need a package of one name, or the profile has a defect.
         """
-        needed: dict[str, tuple[InfrastructurePackage, str]] = {}
+        needed: dict[str, tuple[str, str]] = {}
         for build_type, plugin in self.build_types.items():
-            for each in plugin.packages(self.profile):
-                if each.name in needed:
+            for name, title in plugin.packages(self.profile).items():
+                if name in needed:
                     raise KeymintError(
-                        f"{needed[each.name][0].title} and {each.title} are both named {each.name!r}",
+                        f"{needed[name][0]} and {title} are both named {name!r}",
                         where=self.profile_marker(),
                         help="give one of them another name",
                         code="infrastructure-doubled",
                     )
-                needed[each.name] = (each, build_type)
+                needed[name] = title, build_type
         return needed
 
     def _load(self, name: str, *, built: bool = False) -> Package:

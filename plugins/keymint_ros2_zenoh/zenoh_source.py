@@ -13,7 +13,6 @@ from comarmor.text import quoted
 from comarmor.xml.reader import line
 from keymint.api import (
     Extension,
-    InfrastructurePackage,
     PackageSettings,
     PackageSources,
     Role,
@@ -90,7 +89,7 @@ def settings(sources: PackageSources) -> PackageSettings:
     return PackageSettings(own, (usage, names) if is_server else (usage,))
 
 
-def packages(profile: WorkspaceProfile) -> tuple[InfrastructurePackage, ...]:
+def packages(profile: WorkspaceProfile) -> Mapping[str, str]:
     """Return the package of the router; see :meth:`keymint.api.BuildType.packages`.
 
     Raises:
@@ -105,7 +104,7 @@ def packages(profile: WorkspaceProfile) -> tuple[InfrastructurePackage, ...]:
     document = _read(content, shown)
     if "router/name" not in document:
         raise KeymintError.of([_missing("router/name", Origin(shown, document[_ROOT][1]))])
-    return (InfrastructurePackage(document["router/name"][0], "the Zenoh router"),)
+    return {document["router/name"][0]: "the Zenoh router"}
 
 
 def _values(part: SourcePart, install_space: str) -> _Values:

@@ -21,7 +21,6 @@ from keymint.api import (
     BuildResult,
     Enclave,
     Endpoint,
-    InfrastructurePackage,
     Layout,
     Package,
     Tier,
@@ -47,9 +46,9 @@ class BoardBuildType(PlainBuildType):
     NOUN = "line of the board"
     INFRASTRUCTURE = True
 
-    def packages(self, profile: WorkspaceProfile) -> Sequence[InfrastructurePackage]:
+    def packages(self, profile: WorkspaceProfile) -> Mapping[str, str]:
         del profile
-        return (InfrastructurePackage(OFFICE, "the office"),)
+        return {OFFICE: "the office"}
 
     def build(self, package: Package, options: BuildOptions) -> BuildResult:
         del options

@@ -3,14 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from comarmor.errors import Diagnostic, Severity
 from keymint.api import (
     BuildOptions,
     BuildResult,
     Extension,
-    InfrastructurePackage,
     Package,
     PackageSettings,
     PackageSources,
@@ -34,11 +33,11 @@ class LighthouseBuildType(PlainBuildType):
     DOCUMENT = "light.txt"
     KINDS = ("ros_topic",)
 
-    def packages(self, profile: WorkspaceProfile) -> Sequence[InfrastructurePackage]:
+    def packages(self, profile: WorkspaceProfile) -> Mapping[str, str]:
         if profile.distro == "foxy":
             raise KeymintError("there is no light in foxy", help="use a later distribution", code="light-distro")
         name = profile.files.get("package.defaults/lighthouse.xml", TOWER.encode()).decode()
-        return (InfrastructurePackage(name, "the lighthouse"),)
+        return {name: "the lighthouse"}
 
     def settings(self, sources: PackageSources) -> PackageSettings:
         lamp = sources.role is Role.INFRASTRUCTURE

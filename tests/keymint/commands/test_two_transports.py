@@ -109,8 +109,8 @@ def test_a_real_transport_gets_keys_and_shared_files_in_the_same_places(keymint:
 def test_a_build_type_without_a_transport_of_the_tier_is_reported(
     keymint: Callable, two: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(board.simulated, "_transport", board.Board((), reads_keys=False))
-    monkeypatch.setattr(board.real, "_transport", board.Board((), reads_keys=True))
+    monkeypatch.setattr(board.simulated, "open", lambda _: board.Board((), reads_keys=False))
+    monkeypatch.setattr(board.real, "open", lambda _: board.Board((), reads_keys=True))
     outcome = keymint("verify", "-w", two)
     message = "what board built is not verified: none of its transports supports the tier decision here"
     assert f"warning: {message} ('keymint transports' shows how to install one)" in outcome.err

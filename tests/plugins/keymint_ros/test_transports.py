@@ -37,8 +37,8 @@ def router(*build_types: str) -> Package:
     """Load the package of the router."""
     profile = profile_type.load(ROOT, files_for(*build_types))
     (needed,) = Plugins().build_type(ZENOH).packages(profile)
-    files = package_type.create_infrastructure(profile, needed.name, ZENOH, {})
-    return load_package(profile, needed.name, f"src/{needed.name}", files)
+    files = package_type.create_infrastructure(profile, needed, ZENOH, {})
+    return load_package(profile, needed, f"src/{needed}", files)
 
 
 @SETS
