@@ -141,7 +141,7 @@ def test_a_difference_is_explained_by_its_row(variation, case: Case) -> None:
 def test_every_deviation_is_tested_and_documented() -> None:
     rows = {deviation.row for variation in VARIATIONS.values() for deviation in variation.deviations}
     of_governance = {"20"}  # test_access.py
-    of_identities = {"21", "22", "23"}  # transports/test_authentication.py
+    of_identities = {"21", "22", "23"}  # transports/test_enclave_model.py
     assert rows <= {case.row for case in CASES} | of_governance | of_identities
     text = (Path(__file__).parents[4] / "docs" / "vendors.md").read_text()
     documented = set(re.findall(r"^\| ([\w ]+?) \|", text, re.MULTILINE))
