@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Formats that other tools read findings and test results from: SARIF and JUnit."""
+"""What people and other tools see: the console, JSON, SARIF, JUnit, Markdown, OpenMetrics. Start at ``console.py``."""

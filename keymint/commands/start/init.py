@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -122,7 +122,7 @@ def bootstrap_request(run: Run, workspace: Workspace, policy: Path | None, profi
         layout=profile.layout or "",
         subject_format=profile.subject_format or "unique",
         now=run.setting.now,
-        build_types=build_types_of(run.plugins, profile.transports),
+        build_types=_build_types_for(run.plugins, profile.transports),
         valid_for=profile.valid_for or "",
         policy_type=_policy_type(run, run.setting.cwd / policy) if policy else "",
     )
@@ -171,11 +171,12 @@ def refuse_contradiction(run: Run, workspace: Workspace, given: ProfileOptions, 
 
 
 def _refuse_other_transports(run: Run, workspace: Workspace, profile: WorkspaceProfile, given: Sequence[str]) -> None:
-    wanted = build_types_of(run.plugins, given)
+    wanted = _build_types_for(run.plugins, given)
     if not given or {*wanted} == {*profile.build_types}:
         return
     elements = " and ".join(f"<build_type>{name}</build_type>" for name in wanted)
-    has = " and ".join(repr(each) for each in transports_of(run.plugins, profile.build_types))
+    known = {names[0]: transport for transport, names in _by_transport(run.plugins).items()}
+    has = " and ".join(repr(known.get(name, name)) for name in profile.build_types)
     marker = workspace.shown(workspace.profile / PROFILE_MARKER)
     raise KeymintError(
         f"the workspace has transport {has}, so {' '.join(f'--transport {each}' for each in given)} cannot take effect",
@@ -186,7 +187,7 @@ def _refuse_other_transports(run: Run, workspace: Workspace, profile: WorkspaceP
     )
 
 
-def build_types_of(plugins: Plugins, transports: Sequence[str]) -> tuple[str, ...]:
+def _build_types_for(plugins: Plugins, transports: Sequence[str]) -> tuple[str, ...]:
     """Return the build types of transports, in the order of the command line, each once.
 
     Raises:
@@ -204,12 +205,6 @@ def build_types_of(plugins: Plugins, transports: Sequence[str]) -> tuple[str, ..
                 f"the transport {transport!r} has several build types: {several}", "uninstall all but one"
             )
     return tuple(dict.fromkeys(known[transport][0] for transport in transports))
-
-
-def transports_of(plugins: Plugins, build_types: Iterable[str]) -> tuple[str, ...]:
-    """Return the transports of build types; that of a build type which is not installed is its own name."""
-    known = {names[0]: transport for transport, names in _by_transport(plugins).items()}
-    return tuple(known.get(name, name) for name in build_types)
 
 
 def _by_transport(plugins: Plugins) -> Mapping[str, Sequence[str]]:
