@@ -34,10 +34,9 @@ from keymint.ir import SubjectRules
 from keymint.life.workspace_register import complete_register, register_change
 from keymint.names import package_name
 from keymint.pki import certificates, key_files, public_keys
-from keymint.stages.create import marker_last
+from keymint.stages.create import marker_last, plan_init, refuse_unsupported
 from keymint.stages.pipeline import INSTALL, Request, conduct
 from keymint.stages.work import Crew, InstallRequest, Work
-from keymint.stages.workspace_start import plan_init, refuse_unsupported
 from keymint.store.changes import Action, File, FolderChange, Plan, Step, folder_changes, secret_file
 from keymint.workspace.package_build_types import BUILD
 from keymint.workspace.policy_loading import record_unread

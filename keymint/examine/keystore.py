@@ -8,7 +8,7 @@ of its sources. Each enclave has the list in force, which has all revocations an
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 from cryptography import x509
@@ -126,7 +126,7 @@ def of_enclaves(session: Session) -> Iterator[Diagnostic]:
     Raises:
         KeymintError: a package has defects.
     """
-    in_force, accepted = enclave_lists(session), _accepted(session)
+    in_force = enclave_lists(session)
     for name in with_sources(session):
         package, files = session.package(name, built=is_build_current(session, name)), enclave_files(session, name)[0]
         build_types, layout = build_types_of(session, package).values(), session.profile.layout
@@ -136,7 +136,7 @@ def of_enclaves(session: Session) -> Iterator[Diagnostic]:
             where = Origin(f"{folder}/{file}")
             if expected and files.get(file) != artifact.content:
                 what = "is not the revocation list in force" if file in files else "the revocation list is missing"
-                thieves = accepted.get(package.identity.issuer, ())
+                thieves = _accepted(session, package.identity.issuer)
                 whom = f"the revoked {first_few(thieves)}" if thieves else "revoked certificates"
                 message = f"{what}: {package.subject} accepts {whom}"
                 help_ = f"'keymint install {name}' writes it; then deploy and restart the enclave"
@@ -177,16 +177,12 @@ def _in_force(session: Session) -> frozenset[tuple[str, int, str]]:
     return frozenset(known)
 
 
-def _accepted(session: Session) -> Mapping[str, list[str]]:
-    """Return the subjects whose certificates were revoked and have not ended, by the name of their authority."""
-    found: dict[str, dict[str, None]] = {}
-    for _, name, issuer in issuers(session):
-        for each in register_of(session).revoked(issuer_of(issuer)):
-            if each.not_after >= session.now:
-                found.setdefault(name, {})[subject_of(each.name) if each.name else f"certificate {each.serial:x}"] = (
-                    None
-                )
-    return {name: sorted(subjects) for name, subjects in found.items()}
+@once
+def _accepted(session: Session, authority: str) -> tuple[str, ...]:
+    """Return the subjects whose certificates by an authority were revoked and have not ended, sorted."""
+    own, register = (issuer for _, name, issuer in issuers(session) if name == authority), register_of(session)
+    revoked = (each for issuer in own for each in register.revoked(issuer_of(issuer)) if each.not_after >= session.now)
+    return tuple(sorted({subject_of(each.name) if each.name else f"certificate {each.serial:x}" for each in revoked}))
 
 
 SHOWN_NOTES = frozenset({RIGHTS_OUTLIVE, "authority-key-missing", "not-examined"})

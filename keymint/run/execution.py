@@ -30,7 +30,7 @@ from keymint.host.streams_and_signals import held_signals
 from keymint.life.revocation_lists_in_force import loaded_lists
 from keymint.output.console import Console
 from keymint.output.report import Report
-from keymint.stages.work import PackagePlan, PackageStage, session_after
+from keymint.stages.work import Crew, PackagePlan, PackageStage, session_after
 from keymint.store.changes import Action, File, FolderChange, Plan, Step
 from keymint.store.journal import Journal
 from keymint.store.staged import Exchange
@@ -55,28 +55,22 @@ _DONE, _REFUSED, _CRASHED = "done", "refused", "crashed"
 _Stages = Sequence[Callable[[Session], PackageStage]]
 
 
-class Workers:
+class Workers(Crew):
     """The processes of one run; without any, the caller's process plans everything.
 
     Args:
         count: the most processes to start.
-        store: opens the store of a workspace, which the processes stage with.
+        monotonic: returns seconds.
     """
 
-    def __init__(self, count: int, store: Callable[[Workspace], Store]) -> None:
+    def __init__(self, count: int, monotonic: Callable[[], float]) -> None:
         self._count = count
-        self._store = store
+        self.monotonic = monotonic
         self._processes: list[Any] = []
         self._pipes: list[Connection] = []
 
     def start(self, session: Session, names: Sequence[str], stages: _Stages) -> None:
-        """Let processes plan some packages, if that is worth it; they begin at once.
-
-        Args:
-            session: the workspace and its profile.
-            names: the packages.
-            stages: the stages, in their order.
-        """
+        """See :meth:`keymint.stages.work.Crew.start`."""
         parts = _parts(names, self._count)
         # A thread of this process would not be there in a forked one, but the locks that it holds would.
         if len(names) < MIN_PACKAGES or len(parts) == 1 or threading.active_count() > 1 or not hasattr(os, "fork"):
@@ -95,9 +89,7 @@ class Workers:
         context = multiprocessing.get_context("fork")
         for part in parts:
             here, there = context.Pipe()
-            process = context.Process(
-                target=_work, args=(there, [*self._pipes, here], session, part, stages, self._store)
-            )
+            process = context.Process(target=_work, args=(there, [*self._pipes, here], session, part, stages))
             with held_signals():  # the process keeps them blocked: this one decides
                 process.start()
             there.close()
@@ -105,13 +97,9 @@ class Workers:
             self._pipes.append(here)
 
     def planned(self, stage: PackageStage, names: Sequence[str]) -> list[Any]:
-        """Return what a stage plans for each package.
-
-        Raises:
-            KeymintError: the stage cannot plan at all, or a process ended before it had planned its part.
-        """
+        """See :meth:`keymint.stages.work.Crew.planned`."""
         if not self._pipes:
-            return [stage.package(name) for name in names]
+            return super().planned(stage, names)
         return [each for pipe in self._pipes for each in _answer(pipe)]
 
     def stage(self, store: Store) -> list[Exchange]:
@@ -207,7 +195,6 @@ def _work(
     session: Session,
     names: Sequence[str],
     stages: _Stages,
-    store: Callable[[Workspace], Store],
 ) -> None:
     """Plan packages stage by stage; stage them when the parent says so. This runs in a process of its own."""
     gc.freeze()  # a search for cycles among the parent's objects would copy their pages
@@ -217,8 +204,8 @@ def _work(
         try:
             changes = list(_plan(partial(_send, pipe), session, names, stages))
             pipe.recv()
-            opened = store(session.workspace)
-            _send(pipe, _DONE, [opened.stage(of_stage) for of_stage in changes])
+            store = open_store(session.workspace)
+            _send(pipe, _DONE, [store.stage(of_stage) for of_stage in changes])
         except KeymintError as error:
             _send(pipe, _REFUSED, error.diagnostics, error.exit_code)
         except Exception as error:  # noqa: BLE001 - the parent reports it

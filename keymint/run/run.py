@@ -27,7 +27,6 @@ from keymint.output.report import Report, merged_diagnostics
 from keymint.pki.tokens.pin_sources import Pins
 from keymint.pki.tokens.token_sessions import Tokens
 from keymint.run.execution import RECORD, Workers, execute, open_store, remember, require_register
-from keymint.stages.work import Crew
 from keymint.store.changes import File, Plan, Step
 from keymint.store.journal import Journal, intent_of
 from keymint.store.store import LOCK, clock, folder_lock, read_lock
@@ -112,7 +111,10 @@ class Run:
         self._trusted: bool = options.get("trust_executor", False)
         self._executor: str = options.get("executor", PROCESSES)
         self.has_cluster = self._executor != PROCESSES
-        self.workers = Workers(self.jobs if "jobs" in options else 1, open_store)
+        self.crew = Workers(self.jobs if "jobs" in options else 1, setting.monotonic)
+        """Who plans packages for the conductor of the stages."""
+        if self.has_cluster:
+            self.crew.compile_elsewhere = self._compile_elsewhere
         self.tokens = Tokens(setting.environment, Pins(setting.environment, setting.ask).pin)
         self._named: Path | None = options.get("workspace")
         self._spaces: dict[str, Path] = {
@@ -330,15 +332,15 @@ class Run:
             make_plan: makes the plan.
             exit_code: returns the exit code of an executed plan.
         """
-        with contextlib.closing(self.workers), contextlib.closing(self.tokens):
+        with contextlib.closing(self.crew), contextlib.closing(self.tokens):
             return self._carry_out(workspace, functools.partial(self._plan, make_plan), exit_code)
 
     def _plan(self, make_plan: Callable[[Inputs], Plan], inputs: Inputs) -> Plan:
-        self.workers.close()  # those of an earlier plan
+        self.crew.close()  # those of an earlier plan
         try:
             return make_plan(inputs)
         except HeldError:
-            self.workers.give_up()
+            self.crew.give_up()
             return make_plan(inputs)
 
     def _carry_out(
@@ -370,7 +372,7 @@ class Run:
             require_register(plan, workspace, inputs.tree)
             guards = missing_gitignores(workspace, plan)
             with self.console.progress(len(plan.steps), self.setting.monotonic) as advance:
-                visible = execute(plan, workspace, store, inputs.state, self.workers, advance, self.intent())
+                visible = execute(plan, workspace, store, inputs.state, self.crew, advance, self.intent())
             names = [(str(each.folder), each.written, each.removed) for each in (*guards, *plan.changes())]
             seen = sight.after(names, visible, clock(workspace.state))
             report = self.report({}, plan.diagnostics, exit_code(plan), workspace=workspace, steps=plan.steps)
@@ -400,12 +402,6 @@ class Run:
     def presented(self, report: Report) -> Report:
         """Return a report with all paths as the user would type them, and equal diagnostics merged."""
         return replace(report, diagnostics=merged_diagnostics([self.as_typed(each) for each in report.diagnostics]))
-
-    @property
-    def crew(self) -> Crew:
-        """Who plans packages for the conductor of the stages."""
-        workers, elsewhere = self.workers, self._compile_elsewhere if self.has_cluster else None
-        return Crew(workers.planned, self.setting.monotonic, workers.start, workers.close, elsewhere)
 
     def keep(self, inputs: Inputs, state: State) -> tuple[Diagnostic, ...]:
         """Save the results of a verb that does not write, unless the workspace changed meanwhile.

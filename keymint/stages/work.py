@@ -101,24 +101,39 @@ class PackageStage:
         raise NotImplementedError
 
 
-@dataclass(frozen=True, slots=True)
 class Crew:
-    """Who plans packages, and the clock that limits proofs.
+    """Who plans packages, and the clock that limits proofs; this one plans them here, one after the other.
 
     Attributes:
-        planned: returns what a stage plans for some packages; several processes may share the work.
         monotonic: returns seconds.
-        start: lets processes begin with the stages, given by what makes each, for some packages of a workspace.
-        close: ends these processes.
         compile_elsewhere: lets a cluster compile what the build of some packages needs, with these options, and tells
             whether that will be proven; None if there is no cluster.
     """
 
-    planned: Callable[[PackageStage, Sequence[str]], list[Any]]
     monotonic: Callable[[], float]
-    start: Callable[[Session, Sequence[str], Sequence[Callable[[Session], PackageStage]]], None]
-    close: Callable[[], None]
     compile_elsewhere: Callable[[Session, Sequence[str], BuildOptions, bool], None] | None = None
+
+    def start(
+        self, session: Session, names: Sequence[str], stages: Sequence[Callable[[Session], PackageStage]]
+    ) -> None:
+        """Let processes plan some packages, if that is worth it; they begin at once.
+
+        Args:
+            session: the workspace and its profile.
+            names: the packages.
+            stages: what makes each stage, in their order.
+        """
+
+    def planned(self, stage: PackageStage, names: Sequence[str]) -> list[Any]:
+        """Return what a stage plans for each package.
+
+        Raises:
+            KeymintError: the stage cannot plan at all, or a process ended before it had planned its part.
+        """
+        return [stage.package(name) for name in names]
+
+    def close(self) -> None:
+        """End all processes; what they did not stage is lost."""
 
 
 def steps_of(planned: Sequence[PackagePlan]) -> tuple[Step, ...]:

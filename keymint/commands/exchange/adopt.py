@@ -28,8 +28,8 @@ from keymint.command_line.options import DEFAULT_DISTRO, DEFAULT_PROFILE_TYPE, P
 from keymint.command_line.verb import PATH, Report, Run, argument, findings_exit, flag, option, plugin, verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.examine.nodes import NODE_NOTES, node_notes, of_documents
+from keymint.stages.create import policy_path
 from keymint.stages.proof.proof_results import ProofEffort
-from keymint.stages.workspace_start import policy_path
 from keymint.store.changes import Plan
 from keymint.workspace.policy_loading import foreign_policy
 from keymint.workspace.session import Inputs

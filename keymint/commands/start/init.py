@@ -18,8 +18,8 @@ from keymint.authority.authorities import plan_authorities
 from keymint.command_line.options import DEFAULT_DISTRO, DEFAULT_PROFILE_TYPE, distro_option, valid_for_option
 from keymint.command_line.verb import PATH, Report, Run, argument, option, option_group, plugin, verb
 from keymint.errors import KeymintError, usage_error
+from keymint.stages.create import plan_init, policy_path, refuse_unsupported
 from keymint.stages.work import Work
-from keymint.stages.workspace_start import plan_init, policy_path, refuse_unsupported
 from keymint.store.changes import Action, Plan, Step
 from keymint.workspace.policy_loading import foreign_policy
 from keymint.workspace.session import Inputs

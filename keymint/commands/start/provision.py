@@ -19,10 +19,9 @@ from keymint.command_line.verb import PATH, Report, Run, argument, flag, verb
 from keymint.commands.start.build import build_options, policy_slips, unknown_hints
 from keymint.commands.start.init import ProfileOptions, bootstrap_request, profile_options, refuse_contradiction
 from keymint.names import no_subject
-from keymint.stages.create import packages_to_create
+from keymint.stages.create import packages_to_create, plan_init, plan_policy, policy_path, refuse_unsupported
 from keymint.stages.pipeline import CREATE, INSTALL, Request, conduct
 from keymint.stages.work import InstallRequest, Work
-from keymint.stages.workspace_start import plan_init, plan_policy, policy_path, refuse_unsupported
 from keymint.store.changes import Plan
 from keymint.workspace.package_build_types import BUILD
 from keymint.workspace.policy_loading import lazy_policy
