@@ -49,14 +49,8 @@ from keymint.stages.documents import built_documents
 from keymint.stages.proof.trust_anchors import unvouched
 from keymint.store.changes import file_mode
 from keymint.view.stamps import digest
-from keymint.workspace.installed_enclaves import (
-    INSTALLED,
-    KEY,
-    enclave_files,
-    files_in,
-    not_installed,
-    with_sources,
-)
+from keymint.workspace import installed_enclaves
+from keymint.workspace.installed_enclaves import INSTALLED
 from keymint.workspace.package_build_types import BUILD, build_types_of, is_build_current
 from keymint.workspace.session import Session
 from keymint.workspace.stored_keys import key_defects
@@ -97,7 +91,7 @@ def load(session: Session, name: str, within: timedelta) -> LoadedEnclave:
     """
     try:
         package = session.package(name, built=is_build_current(session, name))
-        files, unreadable = enclave_files(session, name)
+        files, unreadable = installed_enclaves.enclave_files(session, name)
         unread = tuple(each for each in unreadable if each.code != "symlink-refused")  # reported with the modes
         return LoadedEnclave(package, files, unread, _inspections(session, package, files, within))
     except KeymintError as error:
@@ -150,7 +144,7 @@ def _absent(session: Session, name: str) -> Diagnostic:
     """Return the finding on a package without an enclave."""
     reason = withdrawn(session).get(name)
     if reason is None:
-        return not_installed(name, session.workspace.shown(session.enclave_folder(name)))
+        return installed_enclaves.not_installed(name, session.workspace.shown(session.enclave_folder(name)))
     message = f"the certificate of {subject_of(name)} was revoked ({reason}), and its enclave removed"
     help_ = f"'keymint renew --rekey {name}' makes a new key and certificate"
     return Diagnostic.note("identity-revoked", message, None, help_, subject_of(name))
@@ -242,9 +236,9 @@ def _on_disk(session: Session, name: str, files: Mapping[str, bytes]) -> Iterato
     """Check modes, links and recorded digests of one enclave."""
     folder, subject = session.enclave_folder(name), subject_of(name)
     stamp = session.state.stamp(INSTALLED, name)
-    secret = stamp.secret if stamp else (KEY,)
+    secret = stamp.secret if stamp else (installed_enclaves.KEY,)
     yield from modes(session, folder, 0o700, subject)
-    for file in files_in(session, name):
+    for file in installed_enclaves.files_in(session, name):
         path = f"{folder}/{file}"
         is_secret = file in secret or key_files.has_any(files.get(file, b""))
         is_other = stamp is not None and file not in stamp.outputs
@@ -319,7 +313,7 @@ def _of_second_keystore(
         return error.diagnostics
     if ahead is None:
         return ()
-    ready = frozenset(with_sources(ahead))
+    ready = frozenset(installed_enclaves.with_sources(ahead))
     found = check(ahead, [name for name in names if name in ready], within, pool)
     return tuple(each for each in found if each.code not in _OF_RECORD)
 

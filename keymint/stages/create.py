@@ -14,7 +14,6 @@ from pathlib import Path
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import counted, did_you_mean, first_few
 from keymint import api
-from keymint.api import Bootstrap
 from keymint.errors import ExitCode, KeymintError
 from keymint.ir import SubjectRules
 from keymint.names import ROOT, refuse_case_collisions, refuse_reserved, subject_of
@@ -36,7 +35,7 @@ INIT, STAGE = "init", "create"
 _IGNORED = b"# Secrets, and files that Keymint can build again.\n/private/\n/build/\n/install/\n/.keymint/\n"
 
 
-def plan_init(inputs: Inputs, profile_type: str, request: Bootstrap) -> Plan:
+def plan_init(inputs: Inputs, profile_type: str, request: api.Bootstrap) -> Plan:
     """Plan the files of a new workspace; existing files are kept.
 
     Raises:
