@@ -1,2 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plans: what each stage would do to the workspace, computed without touching it."""
+"""Plans: what each stage would do to the workspace, computed without touching it.
+
+Start at :func:`keymint.stages.pipeline.conduct`, which knows the order of the stages.
+"""
