@@ -193,11 +193,9 @@ def phase_plan(crew: Crew, session: Session, name: str, request: PhaseRequest) -
             enclave cannot be built, signed or proven; with all defects.
     """
     phase, names = rollover.phase_of(session, name), _names(session, name)
-    if request.cancel:
-        return _cancelled(crew, session, name, names)
+    if request.cancel or (phase is None and request.phase is Phase.END):
+        return _without_next(crew, session, name, names)
     if phase is None:
-        if request.phase is Phase.END:
-            return _ended(crew, session, name, names)
         return _begun(crew, session, name, names, request)
     _require_same_begin(session, name, phase, request)
     following = _NEXT[phase]
@@ -288,16 +286,10 @@ def _went_on(crew: Crew, session: Session, name: str, names: Sequence[str]) -> P
     return conduct(Work(session).then(first), Request(names), crew).plan
 
 
-def _ended(crew: Crew, session: Session, name: str, names: Sequence[str]) -> Plan:
-    """Return what is missing of an end that a killed run began; nothing is if there was none."""
-    first = Plan((*rollover.left_over(session, name), *dropped_keystore(session)), session.state)
-    return conduct(Work(session).then(first), Request(names), crew).plan
-
-
-def _cancelled(crew: Crew, session: Session, name: str, names: Sequence[str]) -> Plan:
-    if rollover.phase_of(session, name) is None:
-        return _ended(crew, session, name, names)
-    first = rollover.plan_cancel(session, name)
+def _without_next(crew: Crew, session: Session, name: str, names: Sequence[str]) -> Plan:
+    """Return the plan that gives up; without a phase, what is missing of an end that a killed run began, if any."""
+    begun = rollover.phase_of(session, name) is not None
+    first = rollover.plan_cancel(session, name) if begun else Plan(rollover.left_over(session, name), session.state)
     first = replace(first, steps=(*first.steps, *dropped_keystore(session)))
     return conduct(Work(session).then(first), Request(names), crew).plan
 
