@@ -30,7 +30,7 @@ from keymint.view.file_reading import FileStatus
 from keymint.view.stamps import Stamp, digest
 from keymint.workspace.enclave_changes import EnclaveChanges, build_types_in_use, copies_of, shared_copies
 from keymint.workspace.installed_enclaves import INSTALLED, enclave_names, files_in
-from keymint.workspace.package_build_types import load_packages, record_key, shared_builder, users
+from keymint.workspace.package_build_types import load_packages, record_key, users
 from keymint.workspace.session import Inputs, Session
 from keymint.workspace.workspace import GITIGNORE
 
@@ -326,9 +326,8 @@ def _shared(session: Session, within: timedelta) -> tuple[Iterable[Diagnostic], 
             files |= set(stamp.outputs if stamp else ())
             continue
         files |= inspection.files.keys()
-        builder = shared_builder(session, name)
-        found = builder.check_shared(inspection) if builder else ()
-        diagnostics += (*_on_disk(session, name, inspection, stamp), *found)
+        diagnostics += _on_disk(session, name, inspection, stamp)
+        diagnostics += session.plugins.build_type(name).check_shared(inspection)
     return dict.fromkeys(diagnostics), files
 
 
