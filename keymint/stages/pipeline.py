@@ -160,7 +160,7 @@ def _proved(
         of_vendors = any(options_as_built(unsigned, name).allow_vendor_specific for name in issued)
         options = replace(options, allow_vendor_specific=options.allow_vendor_specific or of_vendors)
     policy, warnings = (request.policy, ()) if request.policy else policy_in_force(unsigned)
-    return proven(crew, unsigned, work.noting(*warnings), names, proof_stage(crew, policy, options), options)
+    return proven(crew, unsigned, work.noting(*warnings), names, policy, options)
 
 
 def _proves(request: Request) -> bool:

@@ -37,7 +37,7 @@ def proven(
     unsigned: Session,
     work: Work,
     names: Sequence[str],
-    proof: Callable[[Session], ProofStage],
+    policy: LoadedPolicy,
     request: InstallRequest,
 ) -> Work:
     """Prove the enclaves that some work installs, and return the work with the cached proofs.
@@ -47,7 +47,7 @@ def proven(
         unsigned: the workspace before the installation, and its profile.
         work: what will be done.
         names: the packages to install.
-        proof: makes the stage that proves.
+        policy: the policy to prove.
         request: what the user asks for.
 
     Raises:
@@ -57,7 +57,7 @@ def proven(
     kept = work.of(INSTALLED).of_action(Action.KEPT, Action.REMOVED)
     # New shared documents decide about enclaves that stay as they are, too.
     names = [name for name in sorted({*names, *affected_packages(unsigned, session)}) if name not in kept]
-    stage = proof(session)
+    stage = proof_stage(crew, policy, request)(session)
     results = stage.results(crew.planned(stage, names))
     diagnostics = diagnostics_of(results, strict=request.strict)
     of_vendors = {enclave.subject for enclave in results.enclaves if _holds(enclave, results.standards)}
