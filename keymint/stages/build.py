@@ -26,7 +26,7 @@ from keymint.stages.documents import (
     removals,
 )
 from keymint.stages.work import PackagePlan, PackageStage, state_after, steps_of
-from keymint.store.changes import Action, DocumentSize, FolderChange, Plan, Step, folder_changes
+from keymint.store.changes import Action, DocumentSize, File, FolderChange, Plan, Step, by_folder
 from keymint.view.stamps import Stamp, digest
 from keymint.workspace import package_build_types
 from keymint.workspace.package_build_types import BUILD, SHARED
@@ -164,10 +164,12 @@ def _plan_documents(session: Session, name: str, options: BuildOptions, *, force
     obsolete = sorted(stamp.outputs.keys() - built.documents.keys()) if stamp else []
     present = (*built.documents, *(obsolete if shared else ()))
     existing = {file: session.tree.read(f"{folder}/{file}") for file in present}
+    others = {file: content for file, content in existing.items() if content != built.documents.get(file)}
     if not force:
-        others = {file: content for file, content in existing.items() if content != built.documents.get(file)}
         refuse_edits(session, name, others)
-    changes = (*folder_changes(session.tree, folder, built.documents), *removals(session, folder, obsolete))
+    files = {file: File(content) for file, content in built.documents.items()}
+    written = by_folder(folder, {file: new for file, new in files.items() if file in others})
+    changes = (*(FolderChange(*each) for each in written.items()), *removals(session, folder, obsolete))
     minted, fingerprint = _key(session, package, renew=renew) if package else ((), "")
     before = stamp is not None or any(content is not None for content in existing.values())
     action = (Action.UPDATED if before else Action.CREATED) if changes or minted else Action.UNCHANGED
@@ -178,7 +180,7 @@ def _plan_documents(session: Session, name: str, options: BuildOptions, *, force
     own, build_types = (terms.lifetimes(package), package.build_types) if package else ((), (shared,))
     made = Stamp(
         package_build_types.inputs_digest(session, name, build_types),
-        {file: digest(content) for file, content in built.documents.items()},
+        {file: new.digest for file, new in files.items()},
         context=context,
         lifetimes=terms.dump(own, session.workspace) if package else "",
         build_types=build_types,
