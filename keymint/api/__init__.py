@@ -27,13 +27,12 @@ from keymint.api.building import Artifact as Artifact
 from keymint.api.building import AuthorityRole as AuthorityRole
 from keymint.api.building import BuildOptions as BuildOptions
 from keymint.api.building import BuildResult as BuildResult
-from keymint.api.building import EnclaveCredentials as EnclaveCredentials
+from keymint.api.building import Credentials as Credentials
 from keymint.api.building import EnvironmentVariable as EnvironmentVariable
 from keymint.api.building import Hint as Hint
 from keymint.api.building import Implementation as Implementation
 from keymint.api.building import Inspection as Inspection
 from keymint.api.building import Layout as Layout
-from keymint.api.building import SharedCredentials as SharedCredentials
 from keymint.api.building import SharedInspection as SharedInspection
 from keymint.api.building import SigningAuthority as SigningAuthority
 from keymint.api.foreign_keystores import AdoptedSources as AdoptedSources

@@ -14,12 +14,11 @@ from keymint.api.building import (
     AuthorityRole,
     BuildOptions,
     BuildResult,
-    EnclaveCredentials,
+    Credentials,
     EnvironmentVariable,
     Implementation,
     Inspection,
     Layout,
-    SharedCredentials,
     SharedInspection,
 )
 from keymint.api.foreign_keystores import KeystoreReader
@@ -121,7 +120,7 @@ class BuildType(ABC):
         self,
         package: Package,
         documents: Mapping[str, bytes],
-        credentials: EnclaveCredentials,
+        credentials: Credentials,
         layout: str,
         installed: Mapping[str, bytes],
     ) -> Mapping[str, Artifact]:
@@ -343,7 +342,7 @@ class BuildType(ABC):
         self,
         packages: Sequence[Package],
         documents: Mapping[str, bytes],
-        credentials: SharedCredentials,
+        credentials: Credentials,
         layout: str,
         installed: Mapping[str, bytes],
     ) -> Mapping[str, Artifact]:

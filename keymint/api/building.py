@@ -107,36 +107,24 @@ class AuthorityRole:
 
 
 @dataclass(frozen=True, slots=True)
-class EnclaveCredentials:
-    """The keys and certificates of an enclave, all PEM.
+class Credentials:
+    """The keys and certificates of an enclave, or the authorities of shared documents; all PEM.
 
     Attributes:
-        certificate: the identity certificate.
-        key: its private key; empty if it is elsewhere, and the enclave has no ``key.pem``.
-        chains: by role, the certificate of the authority, followed by those of the authorities above it.
+        chains: by role, the certificate of the authority, followed by those of the authorities above it. For shared
+            documents: the chains that the packages have in this role, each once.
         signers: by role, the authorities that sign, with their private keys; access raises a KeymintError if a key is
-            elsewhere, so ask only when something must be signed.
+            elsewhere, so ask only when something must be signed. For shared documents all packages have the same.
+        certificate: the identity certificate; empty for shared documents.
+        key: its private key; empty if it is elsewhere, and the enclave has no ``key.pem``.
         revocations: the revocation list of the certificate's issuer; empty if it never revoked anything.
     """
 
-    certificate: bytes
-    key: bytes = field(repr=False)
     chains: Mapping[str, bytes]
     signers: Mapping[str, SigningAuthority]
+    certificate: bytes = b""
+    key: bytes = field(default=b"", repr=False)
     revocations: bytes = b""
-
-
-@dataclass(frozen=True, slots=True)
-class SharedCredentials:
-    """The authorities that sign the shared documents, or that these name; all PEM.
-
-    Attributes:
-        chains: by role, the chains that the packages have in this role, each once.
-        signers: by role, the authorities that sign, with their private keys; all packages have the same.
-    """
-
-    chains: Mapping[str, bytes]
-    signers: Mapping[str, SigningAuthority]
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +186,7 @@ class SharedInspection:
         enclaves: files of each installed enclave by subject, those of :meth:`BuildType.files` only.
         folder: the install space as the user would type it.
         layout: name of the layout.
-        chains: trusted certificate chains by role, PEM, as :class:`SharedCredentials` has them.
+        chains: trusted certificate chains by role, PEM, as :class:`Credentials` has them.
         now: the clock, UTC.
         within_days: report certificates and documents that expire within this number of days.
     """

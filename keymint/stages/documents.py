@@ -179,7 +179,7 @@ def sign_shared(
         role: [(each, authority_of(authorities, each.name, each.origin)) for each in of_role]
         for role, of_role in shared_roles(loaded, build_type).items()
     }
-    credentials = api.SharedCredentials(
+    credentials = api.Credentials(
         {role: b"".join(dict.fromkeys(chains[wanted.name] for wanted, _ in each)) for role, each in roles.items()},
         Signers({role: minted for role, each in roles.items() for wanted, minted in each if wanted.signs}),
     )

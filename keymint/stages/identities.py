@@ -13,7 +13,7 @@ from dataclasses import replace
 from cryptography import x509
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from keymint.api import Artifact, EnclaveCredentials, Package, SigningAuthority
+from keymint.api import Artifact, Credentials, Package, SigningAuthority
 from keymint.authority.authorities import MintedAuthority
 from keymint.authority.authority_files import trusted_chains
 from keymint.errors import KeymintError, known_authority
@@ -213,7 +213,7 @@ def sign(
     artifacts: dict[str, Artifact] = {}
     writers: dict[str, str] = {}
     for name, build_type in build_types_of(session, package).items():
-        credentials = EnclaveCredentials(
+        credentials = Credentials(
             certificate=certificate,
             key=pem,
             chains={role.role: trusted_chains(session)[role.name] for role, _ in roles[name]},

@@ -8,7 +8,7 @@ from functools import lru_cache
 
 from comarmor.errors import Origin
 from keymint import api
-from keymint.api import Artifact, EnclaveCredentials, Package
+from keymint.api import Artifact, Credentials, Package
 from keymint.errors import KeymintError
 from keymint.pki import certificates, smime
 from keymint_ros2_dds import enclave_layout as enclave
@@ -18,7 +18,7 @@ from keymint_ros2_dds.documents import dds_xml
 def install(
     package: Package,
     documents: Mapping[str, bytes],
-    credentials: EnclaveCredentials,
+    credentials: Credentials,
     layout: str,
     installed: Mapping[str, bytes],
 ) -> Mapping[str, Artifact]:
@@ -82,7 +82,7 @@ def _document(package: Package, documents: Mapping[str, bytes], kind: str) -> by
     return content
 
 
-def _signed(content: bytes, kind: str, credentials: EnclaveCredentials, installed: Mapping[str, bytes]) -> bytes:
+def _signed(content: bytes, kind: str, credentials: Credentials, installed: Mapping[str, bytes]) -> bytes:
     """Return a signed document: the installed one if it is still current, else a new one."""
     present = installed.get(f"{kind}.p7s")
     in_force = certificates.load_bundle(credentials.chains[enclave.PERMISSIONS_ROLE])[0]

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from comarmor.errors import Origin
-from keymint.api import Artifact, EnclaveCredentials, Package, SharedCredentials
+from keymint.api import Artifact, Credentials, Package
 from keymint.errors import KeymintError
 from keymint.pki import cms, smime
 from keymint_ros2_zenoh.documents.configuration_reader import read
@@ -18,7 +18,7 @@ from keymint_ros2_zenoh.settings import ACCESS, IDENTITY, is_router
 def install(
     package: Package,
     documents: Mapping[str, bytes],
-    credentials: EnclaveCredentials,
+    credentials: Credentials,
     layout: str,  # noqa: ARG001 - it has one
     installed: Mapping[str, bytes],  # noqa: ARG001 - nothing in an enclave is signed
 ) -> Mapping[str, Artifact]:
@@ -42,7 +42,7 @@ def install(
 def install_shared(
     packages: Sequence[Package],  # noqa: ARG001 - an interface
     documents: Mapping[str, bytes],
-    credentials: SharedCredentials,
+    credentials: Credentials,
     layout: str,  # noqa: ARG001 - it has one
     installed: Mapping[str, bytes],
 ) -> Mapping[str, Artifact]:

@@ -11,7 +11,7 @@ from keymint.api import (
     Artifact,
     AuthorityRole,
     BuildType,
-    EnclaveCredentials,
+    Credentials,
     Inspection,
     Layout,
     Package,
@@ -38,7 +38,7 @@ class PlainBuildType(BuildType):
         self,
         package: Package,
         documents: Mapping[str, bytes],
-        credentials: EnclaveCredentials,
+        credentials: Credentials,
         layout: str,
         installed: Mapping[str, bytes],
     ) -> Mapping[str, Artifact]:

@@ -23,7 +23,7 @@ from keymint.api import (
     BuildOptions,
     BuildResult,
     BuildType,
-    EnclaveCredentials,
+    Credentials,
     Inspection,
     Layout,
     Package,
@@ -92,7 +92,7 @@ class JsonBuildType(BuildType):
         self,
         package: Package,
         documents: Mapping[str, bytes],
-        credentials: EnclaveCredentials,
+        credentials: Credentials,
         layout: str,
         installed: Mapping[str, bytes],
     ) -> Mapping[str, Artifact]:

@@ -14,7 +14,7 @@ from keymint_ros2_dds import build_type
 from keymint.api import (
     BuildOptions,
     CertificateSpec,
-    EnclaveCredentials,
+    Credentials,
     Inspection,
     KeySpec,
     Package,
@@ -54,16 +54,14 @@ def authority(name: str) -> Ca:
     return Ca(name, key, certificates.issue_authority(spec, key, None).certificate)
 
 
-def credentials(
-    package: Package, identity: str = "identity_ca", permissions: str = "permissions_ca"
-) -> EnclaveCredentials:
+def credentials(package: Package, identity: str = "identity_ca", permissions: str = "permissions_ca") -> Credentials:
     key = keys.generate(EC)
     issuer = authority(identity)
     issued = certificates.issue_identity(
         package.identity, key.public_key(), certificates.Issuer(issuer.certificate, issuer.key)
     )
     chains, signers = _chains(identity, permissions), {"permissions": authority(permissions).signer}
-    return EnclaveCredentials(issued.pem, keys.to_pem(key), chains, signers)
+    return Credentials(chains, signers, issued.pem, keys.to_pem(key))
 
 
 def _chains(identity: str, permissions: str) -> dict[str, bytes]:

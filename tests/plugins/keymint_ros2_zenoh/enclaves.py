@@ -14,10 +14,9 @@ from keymint_ros2_zenoh import build_type
 from keymint.api import (
     BuildOptions,
     CertificateSpec,
-    EnclaveCredentials,
+    Credentials,
     Inspection,
     Package,
-    SharedCredentials,
     SharedInspection,
     SigningAuthority,
     Validity,
@@ -46,14 +45,14 @@ def signer(name: str = "permissions_ca") -> SigningAuthority:
     return SigningAuthority(name, pem(name), keys.to_pem(authority(name).key))
 
 
-def credentials(package: Package, identity: str = "identity_ca") -> EnclaveCredentials:
+def credentials(package: Package, identity: str = "identity_ca") -> Credentials:
     key = keys.generate(package.identity.key)
     issued = certificates.issue_identity(package.identity, key.public_key(), authority(identity))
-    return EnclaveCredentials(
-        certificates.to_pem(issued.certificate),
-        keys.to_pem(key),
+    return Credentials(
         {"identity": pem(identity), "access": pem("permissions_ca")},
         {"access": signer()},
+        certificates.to_pem(issued.certificate),
+        keys.to_pem(key),
     )
 
 
@@ -75,7 +74,7 @@ def inspection(package: Package, files: Mapping[str, bytes], **fields: Any) -> I
 def shared(packages: Sequence[Package], by: str = "permissions_ca") -> dict[str, bytes]:
     """Return the router's file with its signature."""
     documents = build_type.build_shared(packages, OPTIONS).documents
-    secrets = SharedCredentials({"access": signer(by).certificate}, {"access": signer(by)})
+    secrets = Credentials({"access": signer(by).certificate}, {"access": signer(by)})
     artifacts = build_type.install_shared(packages, documents, secrets, "sros2", {})
     return {name: artifact.content for name, artifact in artifacts.items()}
 

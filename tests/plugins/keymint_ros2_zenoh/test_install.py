@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from keymint_ros2_zenoh import build_type
 
-from keymint.api import SharedCredentials
+from keymint.api import Credentials
 from keymint.errors import KeymintError
 
 from .enclaves import OPTIONS, authority, credentials, pem, shared, signer
@@ -21,7 +21,7 @@ ROUTER, SIGNATURE = "zenoh/router.json5", "zenoh/router.json5.p7s"
 
 
 def install_shared(documents, installed, by: str = "permissions_ca"):
-    secrets = SharedCredentials({"access": signer(by).certificate}, {"access": signer(by)})
+    secrets = Credentials({"access": signer(by).certificate}, {"access": signer(by)})
     artifacts = build_type.install_shared(PACKAGES, documents, secrets, "sros2", installed)
     return {name: artifact.content for name, artifact in artifacts.items()}
 
