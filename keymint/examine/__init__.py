@@ -20,8 +20,8 @@ here
 ``weaknesses``                                what Keymint would have made otherwise: ``keymint harden``
 ``nodes``                                     what the rules keep from starting
 below, since stages and the life of keys ask
-``keymint.pki.identity_check``                certificate, key and authority of an enclave, and its dates
-``keymint.pki.certification_path``            the path of a certificate (RFC 5280)
+``keymint.pki.examine``                       certificate, key and authority of an enclave, and its dates; the path
+                                              of a certificate (RFC 5280)
 ``keymint.pki.foreign_authorities``           what the certificate of an authority lacks
 ``keymint.authority.examine``                 evidence for an authority's key and certificate, and what contradicts it
 ``keymint.life.examine``                      a key has one owner; rights that stay good; enclaves without sources

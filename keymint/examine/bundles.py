@@ -14,7 +14,7 @@ from datetime import datetime
 from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
 from keymint.errors import KeymintError
-from keymint.pki import certificates, certification_path, keys
+from keymint.pki import certificates, examine, keys
 from keymint.pki import revocation_lists as crl
 from keymint.robots.bundle import CERTIFICATE, KEY, Bundle, Manifest, load, number_of, revocation_lists
 from keymint.robots.robot_keystore import Present
@@ -197,7 +197,7 @@ class _BundleQuestion:
             message = f"it is in force from {_shown(first)} to {_shown(last)}, and the clock of this machine is at "
             raise self._refusal("bundle-dates", message + _shown(now), f"set the clock, or {again}")
         chain = next(bundle.files[name] for name, each in bundle.authorities.items() if bundle.signer in each)
-        if problems := certification_path.verify_chain(bundle.files[CERTIFICATE], chain, now, self._where):
+        if problems := examine.verify_chain(bundle.files[CERTIFICATE], chain, now, self._where):
             raise self._refusal("bundle-chain", f"its certificate is not valid: {problems[0].message}", again)
         authorities = [each for of_file in bundle.authorities.values() for each in of_file]
         for listed in bundle.lists:

@@ -5,5 +5,5 @@ Nothing here reads a file, the clock or the environment: times and passwords are
 
 Modules: :mod:`~keymint.pki.distinguished_names` (distinguished names), :mod:`~keymint.pki.keys`,
 :mod:`~keymint.pki.certificates` (issuing), :mod:`~keymint.pki.extensions` (X.509 v3 extensions from text),
-:mod:`~keymint.pki.smime` (signed documents) and :mod:`~keymint.pki.certification_path` (certification paths).
+:mod:`~keymint.pki.smime` (signed documents) and :mod:`~keymint.pki.examine` (identities and certification paths).
 """

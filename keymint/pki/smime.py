@@ -16,7 +16,7 @@ from cryptography.hazmat.primitives import serialization
 from comarmor.errors import Origin
 from keymint import api
 from keymint.errors import KeymintError
-from keymint.pki import certificates, cms, keys, mime
+from keymint.pki import certificates, cms, examine, keys, mime
 from keymint.pki.mime import SignedDocument
 
 _MICALG_LINE = 2
@@ -33,14 +33,7 @@ def load_signer(signer: api.SigningAuthority) -> certificates.Issuer:
     where = Origin(f"authority {signer.name}")
     certificate = certificates.load(signer.certificate, where)
     key = signer.token_key or keys.from_pem(signer.key, signer.password, where)
-    if not keys.matches(key, certificate):
-        raise KeymintError(
-            "the private key does not belong to the certificate",
-            where=where,
-            help="restore the replaced file",
-            code="key-mismatch",
-        )
-    return certificates.Issuer(certificate, key)
+    return examine.issuer_with(certificate, key, where)
 
 
 def sign(content: bytes, certificate: x509.Certificate, key: keys.PrivateKey, where: Origin | None = None) -> bytes:
@@ -119,15 +112,7 @@ def _read(signed: bytes, ca_pem: bytes, at: datetime | None) -> SignedDocument:
             help="'keymint install' signs it again",
             code="smime-signer",
         )
-    if problem := certificates.can_sign_documents(authority):
-        raise KeymintError.of([problem])
-    begin, end = certificates.period(authority)
-    if at is not None and not begin <= at <= end:
-        raise KeymintError(
-            f"the authority's certificate is valid from {begin:%Y-%m-%d} to {end:%Y-%m-%d}, not at {at:%Y-%m-%d}",
-            help="extend the validity of the authority in the profile, then install",
-            code="smime-authority-expired",
-        )
+    examine.require_signer(authority, at)
     if not cms.verify(signature, mime.canonical_text(document.content), authority):
         raise KeymintError(
             "the signature is invalid: the document or its signature was altered",

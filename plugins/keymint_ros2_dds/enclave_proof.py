@@ -10,7 +10,7 @@ from comarmor.errors import Origin
 from keymint.api import Claim, ComparisonTask, EnclaveFiles, Proof, ProofTask, ValidityTerm
 from keymint.errors import KeymintError
 from keymint.pki import smime
-from keymint.pki.identity_check import enclave_file
+from keymint.pki.examine import enclave_file
 from keymint_ros2_dds import enclave_layout as roles
 from keymint_ros2_dds.decision.semantics import OMG, shipped_models
 from keymint_ros2_dds.enclave_layout import CERTIFICATE, GOVERNANCE, PERMISSIONS

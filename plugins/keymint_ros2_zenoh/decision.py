@@ -27,7 +27,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from comarmor.values import dataclass
 from keymint.api import Verdict
 from keymint.errors import KeymintError
-from keymint.pki import certificates, certification_path, extensions
+from keymint.pki import certificates, examine, extensions
 from keymint_ros2_zenoh.documents.configuration import AccessControl, AclRule, AclSubject, Flow, Message, Permission
 from keymint_ros2_zenoh.keyexpr import KeyExpr, includes, parse
 
@@ -240,7 +240,7 @@ def refusal(certificate: bytes, authorities: bytes, at: datetime, *, server: boo
     except KeymintError as error:
         return error.diagnostics[0].message
     intermediates = b"".join(certificates.to_pem(each) for each in above if each.issuer != each.subject)
-    findings = certification_path.verify_chain(certificates.to_pem(leaf), intermediates + authorities, at)
+    findings = examine.verify_chain(certificates.to_pem(leaf), intermediates + authorities, at)
     if findings:
         return findings[0].message
     key = leaf.public_key()

@@ -30,7 +30,7 @@ from keymint.api import (
 )
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, smime
-from keymint.pki.certification_path import verify_chain
+from keymint.pki.examine import verify_chain
 
 DOCUMENT = "access.json"
 SIGNED = "access.json.p7s"

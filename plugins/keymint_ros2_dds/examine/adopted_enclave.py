@@ -18,7 +18,7 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import DomainRange, FoundEnclave, FoundGrant, TrustAnchor, TrustAnchors, Validity
 from keymint.errors import KeymintError
 from keymint.names import name_of, package_name
-from keymint.pki import certificates, certification_path, keys
+from keymint.pki import certificates, examine, keys
 from keymint.pki.distinguished_names import MAX_COMMON_NAME, attributes, to_text
 from keymint_ros2_dds.decision.semantics import STANDARD
 from keymint_ros2_dds.domains import merged_domains
@@ -264,8 +264,7 @@ class _Enclave(EnclaveRules):
             "links": sum(bool(file.link) for file in files.values()),
             "modes": {name: f"{file.mode:04o}" for name, file in files.items() if not file.link},
             "missing": [name for name in self._needed if name not in self._files],
-            "chain": bool(certificate and issuer)
-            and not certification_path.verify_chain(self._files[CERTIFICATE], issuer, None),
+            "chain": bool(certificate and issuer) and not examine.verify_chain(self._files[CERTIFICATE], issuer, None),
             "subject_name": to_text(certificate.subject) if certificate else "",
             "named_like_path": self._is_named_like_path(),
             **({"certificate": dates_of(certificate)} if certificate else {}),

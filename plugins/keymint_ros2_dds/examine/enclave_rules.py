@@ -18,7 +18,7 @@ from comarmor.values import dataclass
 from keymint.api import EnclaveFiles, TrustAnchors
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, revocation_lists, smime
-from keymint.pki.identity_check import IdentityCheck, When, anchor_defects, utc_time
+from keymint.pki.examine import IdentityCheck, When, anchor_defects, utc_time
 from keymint.pki.mime import SignedDocument
 from keymint_ros2_dds import enclave_layout as roles
 from keymint_ros2_dds import subject_names, vendor_limits

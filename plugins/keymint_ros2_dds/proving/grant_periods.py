@@ -14,7 +14,7 @@ from comarmor.values import dataclass
 from keymint.api import ValidityTerm
 from keymint.errors import KeymintError
 from keymint.pki import revocation_lists
-from keymint.pki.identity_check import certificate_terms
+from keymint.pki.examine import certificate_terms
 from keymint_ros2_dds import subject_names
 from keymint_ros2_dds.decision.semantics import VARIATIONS, Semantics
 from keymint_ros2_dds.enclave_layout import CA, CERTIFICATE, CRL, IDENTITY_CA, PERMISSIONS_CA

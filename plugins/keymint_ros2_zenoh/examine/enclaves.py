@@ -23,7 +23,7 @@ from keymint.api import EnclaveFiles, Inspection, SharedInspection, TrustAnchor,
 from keymint.errors import KeymintError
 from keymint.names import name_of
 from keymint.pki import certificates, cms, extensions
-from keymint.pki.identity_check import IdentityCheck, anchor_defects, certificate_terms
+from keymint.pki.examine import IdentityCheck, anchor_defects, certificate_terms
 from keymint_ros2_zenoh.decision import first_common_name, lacking_usage, names_host
 from keymint_ros2_zenoh.documents.configuration import Configuration
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY, ROUTER, SESSION, SIGNATURE

@@ -21,7 +21,7 @@ from comarmor.rules import Effect
 from comarmor.values import dataclass
 from keymint.api import Claim, Counterexample, DomainRange, Endpoint, PolicyDecision, Proof, ProofTask, Verdict
 from keymint.errors import KeymintError
-from keymint.pki.identity_check import enclave_file
+from keymint.pki.examine import enclave_file
 from keymint_ros2_zenoh.decision import AccessModel, KeyLists, LinkAccess, first_common_name
 from keymint_ros2_zenoh.documents.configuration import Configuration, Flow, Message
 from keymint_ros2_zenoh.documents.configuration_reader import read

@@ -11,7 +11,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from comarmor.errors import Origin
 from keymint.api import CertificateSpec, KeySpec
 from keymint.pki import certificates, keys
-from keymint.pki.certification_path import verify_chain
+from keymint.pki.examine import verify_chain
 
 NOW = datetime(2026, 11, 21, tzinfo=UTC)
 HERE = Origin("install/enclaves/talker/cert.pem")
