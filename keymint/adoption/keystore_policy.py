@@ -33,9 +33,6 @@ _WORDS = {
     Relation.DIFFERENT: "DIFFERENT from the policy",
     Relation.UNKNOWN: "not known to be equal to the policy",
 }
-_REFUSED = frozenset(("adopt-authorities", "adopt-doubled"))
-"""Findings on a keystore because of which nobody can tell what its documents grant to a subject."""
-
 _NOTE = "Learned from the signed documents of a keystore, and proven to mean the same for all names."
 
 
@@ -88,17 +85,6 @@ class Compared:
             "excess": _example_json(found.excess),
             "reason": found.reason or None,
         }
-
-    def finding(self) -> Diagnostic | None:
-        """Return the finding; None if document and policy permit the same."""
-        found = self.comparison
-        if found.relation is Relation.EQUAL:
-            return None
-        message = f"is {found.relation} in comparison with the policy: {differences(found) or found.reason}"
-        if found.relation is Relation.UNKNOWN:
-            message = f"cannot be compared with the policy: {found.reason}"
-        help_ = "change the policy; or leave it out, so that a policy is made from what is signed"
-        return Diagnostic.error("adopt-policy", message, Origin(self.file), help_, self.subject)
 
 
 def document_comparisons(
@@ -196,7 +182,9 @@ class Learning:
     effort: ProofEffort
 
 
-def learned_from(plugins: Plugins, files: KeystoreFiles, found: FoundKeystore, learning: Learning) -> LearnedKeystore:
+def learned_from(
+    plugins: Plugins, files: KeystoreFiles, found: FoundKeystore, learning: Learning, unclear: Sequence[Diagnostic]
+) -> LearnedKeystore:
     """Return the policy of a keystore, proven to mean what its signed documents mean, for all names.
 
     Args:
@@ -204,14 +192,15 @@ def learned_from(plugins: Plugins, files: KeystoreFiles, found: FoundKeystore, l
         files: the files of the keystore.
         found: what it has.
         learning: how the policy is learned.
+        unclear: the findings because of which nobody can tell what its documents grant to a subject.
 
     Raises:
         KeymintError: a signature does not verify, a document grants what no policy can say, or the proof fails; each
             with its place.
     """
     writer = plugins.policy_type(learning.policy_type)
-    if refused := [each for each in found.diagnostics if each.code in _REFUSED]:
-        raise KeymintError.of(refused)
+    if unclear:
+        raise KeymintError.of(unclear)
     granted: list[GrantedRules] = []
     errors: list[Diagnostic] = []
     for enclave in found.enclaves:

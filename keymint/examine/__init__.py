@@ -16,6 +16,7 @@ here
 ``rights``                                    what every certificate in force may present, against the policy
 ``files``                                     modes, owners, links and kinds of files; the install space outside of
                                               the enclaves
+``adopted_documents``                         signed documents of another tool's keystore, by a policy
 ``bundles``                                   may a robot take a bundle
 ``weaknesses``                                what Keymint would have made otherwise: ``keymint harden``
 ``nodes``                                     what the rules keep from starting

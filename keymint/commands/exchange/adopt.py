@@ -27,6 +27,7 @@ from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import DEFAULT_DISTRO, DEFAULT_PROFILE_TYPE, PolicyOptions, distro_option
 from keymint.command_line.verb import PATH, Report, Run, argument, findings_exit, flag, option, plugin, verb
 from keymint.errors import ExitCode, KeymintError
+from keymint.examine.adopted_documents import policy_finding, unclear_rights
 from keymint.examine.nodes import NODE_NOTES, node_notes, of_documents
 from keymint.stages.create import policy_path
 from keymint.stages.proof.proof_results import ProofEffort
@@ -85,7 +86,7 @@ def adopt(
         own = _named_policy(run, policy, workspace, options, found, accept=accept, implicit=implicit)
         effort = ProofEffort(run.setting.monotonic, _STATES)
         comparisons = document_comparisons(reader, found.enclaves, own.rules, target, effort)
-    different = [each for each in (one.finding() for one in comparisons) if each]
+    different = [each for each in (policy_finding(one) for one in comparisons) if each]
     rules = of_documents(reader, files, found.enclaves, target)
     nodes = node_notes(run.plugins, (build_type_name,), target, rules)
     found = replace(found, diagnostics=(*found.diagnostics, *(own.diagnostics if own else ()), *different, *nodes))
@@ -219,7 +220,7 @@ def _learned_policy(
     effort = ProofEffort(run.setting.monotonic, _STATES)
     file = str(workspace.profile / name)
     learning = Learning(reader, options.policy_type, Policies(run, options).distro, file, effort)
-    learned = learned_from(run.plugins, files, found, learning)
+    learned = learned_from(run.plugins, files, found, learning, unclear_rights(found))
     rules = {each.subject: each for each in learned.subjects}
     return AdoptedPolicy(
         _FOLDER, {name: learned.document}, rules, tuple(rules), learned=True, diagnostics=learned.diagnostics

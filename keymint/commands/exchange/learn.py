@@ -195,6 +195,7 @@ def _from_keystore(
     """
     from keymint.adoption.keystore_files import found_in  # noqa: PLC0415
     from keymint.adoption.keystore_policy import Learning, learned_from  # noqa: PLC0415 - graphs need none of it
+    from keymint.examine.adopted_documents import unclear_rights  # noqa: PLC0415
 
     policies = Policies(run, policy_options)
     policies.shipped()  # an unknown distribution is wrong usage, whatever the keystore is
@@ -202,7 +203,7 @@ def _from_keystore(
     effort = ProofEffort(run.setting.monotonic)
     name = str(output or "policy.xml")
     learning = Learning(reader, policy_options.policy_type, policies.distro, name, effort)
-    learned = learned_from(run.plugins, files, found, learning)
+    learned = learned_from(run.plugins, files, found, learning, unclear_rights(found))
     delivered = deliver(run, output, learned.document, keep=None if force else _kept(output))
     if output is not None:
         subjects = counted(len(learned.granted), "subject")

@@ -18,6 +18,7 @@ from keymint.adoption.keystore_policy import Learning, learned_from
 from keymint.api import DocumentComparison, FoundKeystore, KeystoreFiles, Relation
 from keymint.api.plugin_loader import Plugins
 from keymint.errors import KeymintError
+from keymint.examine.adopted_documents import unclear_rights
 from keymint.stages.proof.proof_results import ProofEffort
 from tests import sros2_keystore
 
@@ -61,7 +62,7 @@ class Comparer:
 
 def learned(keystore: tuple[KeystoreFiles, FoundKeystore], plugins: object = None, reader: object = None) -> Any:
     learning = replace(LEARNING, reader=reader) if reader else LEARNING
-    return learned_from(plugins or Plugins(), *keystore, learning)
+    return learned_from(plugins or Plugins(), *keystore, learning, unclear_rights(keystore[1]))
 
 
 def test_what_is_learned(keystore) -> None:
