@@ -174,9 +174,11 @@ def _plan_documents(session: Session, name: str, options: BuildOptions, *, force
     before = stamp is not None or any(content is not None for content in existing.values())
     action = (Action.UPDATED if before else Action.CREATED) if changes or minted else Action.UNCHANGED
     bytes_of = {file: len(content) for file, content in built.documents.items()}
-    sizes = tuple(DocumentSize(file, bytes_of[file], plain) for file, plain in sorted(built.plain_sizes.items()))
-    shown = [DocumentSize(file, size, size) for file, size in bytes_of.items()] if shared else sizes
-    step = Step(STAGE, "" if shared else name, action, (*minted, *changes), ", ".join(map(_smaller, shown)), sizes)
+    plain = bytes_of if shared else dict(sorted(built.plain_sizes.items()))
+    sizes = tuple(DocumentSize(file, bytes_of[file], size) for file, size in plain.items())
+    shown = ", ".join(map(_smaller, sizes))
+    # The sizes of a report are those of packages.
+    step = Step(STAGE, "" if shared else name, action, (*minted, *changes), shown, () if shared else sizes)
     own, build_types = (terms.lifetimes(package), package.build_types) if package else ((), (shared,))
     made = Stamp(
         package_build_types.inputs_digest(session, name, build_types),
