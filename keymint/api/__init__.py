@@ -101,10 +101,10 @@ from keymint.api.rights import Relation as Relation
 from keymint.api.rights import standard_claims as standard_claims
 from keymint.api.transports import Availability as Availability
 from keymint.api.transports import DiscoveredGraph as DiscoveredGraph
-from keymint.api.transports import Enclave as Enclave
 from keymint.api.transports import Endpoint as Endpoint
 from keymint.api.transports import Environment as Environment
 from keymint.api.transports import GraphSource as GraphSource
+from keymint.api.transports import InstalledEnclave as InstalledEnclave
 from keymint.api.transports import Tier as Tier
 from keymint.api.transports import Transport as Transport
 from keymint.api.transports import TransportType as TransportType

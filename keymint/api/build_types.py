@@ -27,7 +27,7 @@ from keymint.api.packages import Package, PackageSettings, PackageSources
 from keymint.api.profiles import WorkspaceProfile
 from keymint.api.proving import Claim, Prover, SharedProofTask
 from keymint.api.rights import Presentation
-from keymint.api.transports import Enclave, Endpoint
+from keymint.api.transports import Endpoint, InstalledEnclave
 from keymint.ir import SubjectRules
 
 
@@ -50,7 +50,7 @@ class NameMapping(ABC):
         """Return the elementary edges of other kinds that this edge of kind ``topic`` implements."""
 
     @abstractmethod
-    def document_topics(self, enclave: Enclave) -> Sequence[tuple[str, Sequence[str]]]:
+    def document_topics(self, enclave: InstalledEnclave) -> Sequence[tuple[str, Sequence[str]]]:
         """Return the topic expressions in the signed documents of an enclave, each with its partitions."""
 
 
@@ -244,7 +244,7 @@ class BuildType(ABC):
         """
         return ()
 
-    def installed_names(self, enclave: Enclave) -> Sequence[str]:
+    def installed_names(self, enclave: InstalledEnclave) -> Sequence[str]:
         """Return expressions of application names like those in the shared documents; none if these cannot be read."""
         return ()
 

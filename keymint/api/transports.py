@@ -71,7 +71,7 @@ class Availability:
 
 
 @dataclass(frozen=True, slots=True)
-class Enclave:
+class InstalledEnclave:
     """An installed enclave.
 
     Attributes:
@@ -164,7 +164,9 @@ class Transport(ABC):
         """Return whether it can be used on this machine; never raises."""
 
     @abstractmethod
-    def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
+    def label(
+        self, enclaves: Sequence[InstalledEnclave], edges: Iterable[Edge], tier: Tier
+    ) -> Iterator[tuple[Edge, Verdict]]:
         """Yield the decision on each edge, in the order of the edges.
 
         Args:
@@ -176,7 +178,7 @@ class Transport(ABC):
             KeymintError: an enclave is refused completely (code ``enclave-refused``), or the transport fails.
         """
 
-    def admitted(self, enclave: Enclave, endpoints: Column, tier: Tier) -> bytes:
+    def admitted(self, enclave: InstalledEnclave, endpoints: Column, tier: Tier) -> bytes:
         """Return which endpoints it admits, one byte each: 1 admitted, 0 refused.
 
         Args:
@@ -189,7 +191,7 @@ class Transport(ABC):
         """
         raise NotImplementedError
 
-    def asked(self, enclave: Enclave, edge: Edge) -> Sequence[Edge]:
+    def asked(self, enclave: InstalledEnclave, edge: Edge) -> Sequence[Edge]:
         """Return the edges that it can be asked about in place of an edge; none if there is none like it."""
         del enclave
         return (edge,)
@@ -279,7 +281,7 @@ class GraphSource(ABC):
 # -- installed enclaves and their files, as transports look for them --------------------------------------------------
 
 
-class EnclavesBySubject(dict[str, Enclave]):
+class EnclavesBySubject(dict[str, InstalledEnclave]):
     """The enclaves that a transport decides about; to ask for another one is a :class:`KeymintError`."""
 
     def __missing__(self, subject: str) -> NoReturn:

@@ -20,7 +20,7 @@ from itertools import chain, groupby
 from operator import and_, attrgetter
 
 from comarmor.values import dataclass
-from keymint.api import Enclave, Tier, Transport, Verdict
+from keymint.api import InstalledEnclave, Tier, Transport, Verdict
 from keymint.api.graph import ConfusionMatrix, Edge
 from keymint.errors import KeymintError
 from keymint.verify.endpoint_policy import EdgeRow, EndpointPolicy, MappedColumn, Naming, labelled_rows, mapped_column
@@ -29,7 +29,7 @@ from keymint.verify.mismatch import EdgeComparison, Mismatch, Tally
 ENCLAVE_REFUSED = "enclave-refused"
 """Code of the error of a transport that refuses a complete enclave."""
 
-Explain = Callable[[str, Enclave, list[tuple[Edge, Verdict]]], list[Mismatch]]
+Explain = Callable[[str, InstalledEnclave, list[tuple[Edge, Verdict]]], list[Mismatch]]
 """Returns the mismatches of one enclave, given the name of the transport and the edges with its verdicts."""
 
 
@@ -62,7 +62,12 @@ class TransportComparison:
     """
 
     def __init__(
-        self, name: str, transport: Transport, enclaves: Mapping[str, Enclave], explain: Explain, asking: Asking
+        self,
+        name: str,
+        transport: Transport,
+        enclaves: Mapping[str, InstalledEnclave],
+        explain: Explain,
+        asking: Asking,
     ) -> None:
         self._name = name
         self._transport = transport
@@ -224,7 +229,7 @@ def _halves(row: EdgeRow, labels: bytes, column: MappedColumn, admitted: bytes, 
     return [each for each in sorted(map(row.edge, column.halves(labels, admitted))) if not policy.decide(each).allowed]
 
 
-def _admitted(transport: Transport, enclave: Enclave, column: MappedColumn, tier: Tier) -> bytes:
+def _admitted(transport: Transport, enclave: InstalledEnclave, column: MappedColumn, tier: Tier) -> bytes:
     """Return which endpoints a transport admits; none of a refused enclave."""
     try:
         return transport.admitted(enclave, column.endpoints, tier)
@@ -235,7 +240,7 @@ def _admitted(transport: Transport, enclave: Enclave, column: MappedColumn, tier
 
 
 def label_by_subject(
-    transport: Transport, enclaves: Mapping[str, Enclave], edges: Iterable[Edge], tier: Tier
+    transport: Transport, enclaves: Mapping[str, InstalledEnclave], edges: Iterable[Edge], tier: Tier
 ) -> Iterator[tuple[str, Iterator[tuple[Edge, Verdict]]]]:
     """Yield the labelled edges of each subject.
 
@@ -251,7 +256,7 @@ def label_by_subject(
 
 
 def label_enclave(
-    transport: Transport, enclave: Enclave, edges: Iterable[Edge], tier: Tier
+    transport: Transport, enclave: InstalledEnclave, edges: Iterable[Edge], tier: Tier
 ) -> Iterator[tuple[Edge, Verdict]]:
     """Yield the verdicts of a transport on the edges of one enclave; a refused enclave is denied everything.
 
@@ -272,7 +277,11 @@ def label_enclave(
 
 
 def _answers(
-    transport: Transport, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier, unanswered: deque[Edge]
+    transport: Transport,
+    enclaves: Sequence[InstalledEnclave],
+    edges: Iterable[Edge],
+    tier: Tier,
+    unanswered: deque[Edge],
 ) -> Iterator[tuple[Edge, Verdict]]:
     """Yield the verdicts of a transport; it must answer each edge once, in order.
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
-from keymint.api import Enclave, Transport, Verdict
+from keymint.api import InstalledEnclave, Transport, Verdict
 from keymint.errors import KeymintError
 from keymint.view.tree import Tree
 
@@ -38,7 +38,7 @@ class Copies:
         left_out: the folders of enclaves that these copies are not about.
     """
 
-    enclaves: Mapping[str, Enclave]
+    enclaves: Mapping[str, InstalledEnclave]
     root: Path
     install: Path
     left_out: frozenset[Path] = frozenset()
@@ -84,7 +84,7 @@ class Copies:
 def enclave_copies(
     tree: Tree,
     install: Path,
-    enclaves: Mapping[str, Enclave],
+    enclaves: Mapping[str, InstalledEnclave],
     transports: Iterable[Transport],
     others: Collection[Path] = (),
     infrastructure: Collection[Path] = (),
@@ -128,7 +128,7 @@ def local_copies(copies: Copies, files: Mapping[str, bytes] | None) -> Iterator[
             yield here
 
 
-def _moved(enclaves: Mapping[str, Enclave], install: Path, root: Path) -> dict[str, Enclave]:
+def _moved(enclaves: Mapping[str, InstalledEnclave], install: Path, root: Path) -> dict[str, InstalledEnclave]:
     """Return the enclaves of an install space at the same places of another one."""
     return {
         subject: replace(each, folder=root / each.folder.relative_to(install), install=root)

@@ -15,7 +15,7 @@ from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint.api import (
     BuildType,
-    Enclave,
+    InstalledEnclave,
     LoadedPolicy,
     Package,
     Role,
@@ -68,10 +68,10 @@ class VerificationScope:
     build_type: str
     plugin: BuildType
     distro: str
-    enclaves: Mapping[str, Enclave]
+    enclaves: Mapping[str, InstalledEnclave]
     namings: Mapping[str, Naming]
     domains: Mapping[str, int]
-    select: Callable[[Enclave, Edge], Sequence[Edge]] | None = None
+    select: Callable[[InstalledEnclave, Edge], Sequence[Edge]] | None = None
 
     def has_name(self, object_: Object) -> bool:
         """Tell whether an object has a name on the transports; these are not asked about others."""
@@ -98,7 +98,7 @@ class InstalledScopes:
     """
 
     scopes: Mapping[str, VerificationScope]
-    enclaves: Mapping[str, Enclave]
+    enclaves: Mapping[str, InstalledEnclave]
     others: frozenset[Path]
     infrastructure: frozenset[Path]
 
@@ -144,13 +144,13 @@ def build_types_of(packages: Collection[Package]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for package in packages for name in package.build_types))
 
 
-def enclave_of(session: Session, package: Package) -> Enclave:
+def enclave_of(session: Session, package: Package) -> InstalledEnclave:
     """Return the installed enclave of a package."""
-    return Enclave(package.subject, session.enclave(package.name), package.distro, session.workspace.install)
+    return InstalledEnclave(package.subject, session.enclave(package.name), package.distro, session.workspace.install)
 
 
 def _scope(
-    session: Session, name: str, packages: Mapping[str, Package], enclaves: Mapping[str, Enclave]
+    session: Session, name: str, packages: Mapping[str, Package], enclaves: Mapping[str, InstalledEnclave]
 ) -> VerificationScope:
     """Return the scope of a build type."""
     built = {subject: packages[subject] for subject in sorted(packages) if name in packages[subject].build_types}

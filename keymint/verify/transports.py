@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from comarmor.errors import Origin
 from comarmor.values import dataclass
-from keymint.api import Availability, Enclave, Tier, Transport, Verdict
+from keymint.api import Availability, InstalledEnclave, Tier, Transport, Verdict
 from keymint.api.graph import Edge
 from keymint.api.plugin_loader import Plugins
 from keymint.errors import ExitCode, KeymintError
@@ -120,7 +120,7 @@ class Explainer:
     models: Callable[[], Mapping[str, Transport]]
     copies: Copies
 
-    def __call__(self, transport: str, enclave: Enclave, wrong: list[tuple[Edge, Verdict]]) -> list[Mismatch]:
+    def __call__(self, transport: str, enclave: InstalledEnclave, wrong: list[tuple[Edge, Verdict]]) -> list[Mismatch]:
         """Return the mismatches of one enclave with their reasons."""
         found: list[Mismatch] = []
         for (edge, verdict), (decided, model) in zip(wrong, self._modelled(transport, enclave, wrong), strict=True):
@@ -143,7 +143,7 @@ class Explainer:
         return max(known, key=_number, default=oldest)
 
     def _modelled(
-        self, transport: str, enclave: Enclave, wrong: Sequence[tuple[Edge, Verdict]]
+        self, transport: str, enclave: InstalledEnclave, wrong: Sequence[tuple[Edge, Verdict]]
     ) -> list[tuple[Verdict, str]]:
         """Return the verdicts of the simulation where it decides the same, else the transport's own."""
         plain = [(verdict, "") for _, verdict in wrong]

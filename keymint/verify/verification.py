@@ -12,7 +12,7 @@ from functools import cache, partial
 from itertools import chain
 
 from comarmor.values import dataclass
-from keymint.api import Enclave, LoadedPolicy, PolicyDecision, Tier, Transport
+from keymint.api import InstalledEnclave, LoadedPolicy, PolicyDecision, Tier, Transport
 from keymint.api.graph import ConfusionMatrix, Edge, Graph, Object
 from keymint.api.plugin_loader import Plugins
 from keymint.executors import Pool
@@ -84,7 +84,7 @@ class VerificationPart:
         rows = edges_of_policy(self.policy, replace(self.scope, enclaves=self.enclaves()), self.common)
         return tuple(self.scope.enclaves), selected_rows(rows, self.scope)
 
-    def enclaves(self) -> Mapping[str, Enclave]:
+    def enclaves(self) -> Mapping[str, InstalledEnclave]:
         """Return the copies of the enclaves of these subjects."""
         return {subject: self.copies.enclaves[subject] for subject in self.scope.enclaves}
 

@@ -15,8 +15,8 @@ from comarmor.values import dataclass
 from keymint.api import (
     AppliedProfile,
     BuildType,
-    Enclave,
     Endpoint,
+    InstalledEnclave,
     LoadedPolicy,
     Package,
     PolicyDecision,
@@ -221,7 +221,7 @@ def _labels(
 ) -> Mapping[str, Mismatch]:
     """Return the decisions of transports on copies of the enclave."""
     install, name = session.workspace.install, name_of(edge.subject)
-    enclave = Enclave(edge.subject, session.enclave(name), session.profile.distro, install)
+    enclave = InstalledEnclave(edge.subject, session.enclave(name), session.profile.distro, install)
     there = enclave_names(session)
     infrastructure = {each.name for each in package.infrastructure} if package else ()
     labels: dict[str, Mismatch] = {}

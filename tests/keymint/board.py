@@ -19,8 +19,8 @@ from keymint.api import (
     Availability,
     BuildOptions,
     BuildResult,
-    Enclave,
     Endpoint,
+    InstalledEnclave,
     Layout,
     Package,
     Tier,
@@ -86,7 +86,9 @@ class Board(Transport):
     def usable(self) -> Availability:
         return Availability(usable=True, version="1", tiers=self.tiers)
 
-    def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
+    def label(
+        self, enclaves: Sequence[InstalledEnclave], edges: Iterable[Edge], tier: Tier
+    ) -> Iterator[tuple[Edge, Verdict]]:
         del tier
         folders = {enclave.subject: enclave for enclave in enclaves}
         for edge in edges:

@@ -11,7 +11,7 @@ from cryptography import x509
 from cryptography.hazmat.primitives import serialization
 from keymint_ros2_zenoh.documents import json5
 
-from keymint.api import Enclave
+from keymint.api import InstalledEnclave
 from tests.plugins.keymint_ros2_zenoh.install_spaces import InstallSpace
 
 from .provisioning import provision
@@ -51,7 +51,7 @@ class CompiledSpace(InstallSpace):
         self._certificate = x509.load_pem_x509_certificate((workspace / "public/identity_ca.cert.pem").read_bytes())
         self._name = self._certificate.subject
 
-    def write(self) -> list[Enclave]:
+    def write(self) -> list[InstalledEnclave]:
         """Issue the certificates that live shorter; all other files are there."""
         for subject, seconds in self.lives.items():
             self.enclave(subject[1:], subject, seconds=seconds)

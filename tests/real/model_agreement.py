@@ -11,7 +11,7 @@ from pathlib import Path
 
 from cryptography.x509 import NameOID
 
-from keymint.api import Enclave, Tier, Transport
+from keymint.api import InstalledEnclave, Tier, Transport
 from keymint.api.graph import Edge
 from keymint.pki import smime
 
@@ -49,14 +49,14 @@ def disagreements(
                     yield decision.allowed, _report(edge, decision.reason, modelled.reason, enclaves)
 
 
-def _written(writer: Writer, authorities: Authorities, root: Path, subject: str) -> Enclave:
+def _written(writer: Writer, authorities: Authorities, root: Path, subject: str) -> InstalledEnclave:
     """Write an enclave with the next documents."""
     permissions, governance = writer.document(), writer.governance()
     folder = authorities.enclave(root / subject[1:], rdns=RDNS, permissions=permissions, governance=governance)
-    return Enclave(subject, folder, "humble", root)
+    return InstalledEnclave(subject, folder, "humble", root)
 
 
-def _report(edge: Edge, real: str, modelled: str, enclaves: list[Enclave]) -> str:
+def _report(edge: Edge, real: str, modelled: str, enclaves: list[InstalledEnclave]) -> str:
     folder = next(enclave.folder for enclave in enclaves if enclave.subject == edge.subject)
     document = smime.signed_content((folder / "permissions.p7s").read_bytes()).decode()
     governance = smime.signed_content((folder / "governance.p7s").read_bytes()).decode()

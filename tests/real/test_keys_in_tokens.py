@@ -19,7 +19,7 @@ from keymint_ros2_dds.decision.semantics import CYCLONEDDS_0_10, FASTDDS_2_9
 from keymint_ros2_dds.transports.enclave_model import EnclaveModel
 from keymint_ros2_dds.vendors.participants import RefusedError, System, Vendor
 
-from keymint.api import Enclave, Environment, Issuance, KeySpec
+from keymint.api import Environment, InstalledEnclave, Issuance, KeySpec
 from keymint.pki.tokens.pin_sources import VARIABLE, Pins
 from keymint.pki.tokens.token_sessions import Tokens
 from tests.conftest import CHECKOUT
@@ -149,7 +149,7 @@ def test_cyclone_dds_starts_without_such_a_key_not_at_all(vendor: Vendor, robot:
     with System(vendor) as system, pytest.raises(RefusedError):
         system.open(enclave)
     model = EnclaveModel(
-        Enclave("/talker", enclave, "jazzy", robot / "install"), Environment(datetime.now(UTC), robot), 0
+        InstalledEnclave("/talker", enclave, "jazzy", robot / "install"), Environment(datetime.now(UTC), robot), 0
     )
     assert "key.p11 is not read" in model.unauthenticated(CYCLONEDDS_0_10)
     assert not model.unauthenticated(FASTDDS_2_9)

@@ -15,7 +15,7 @@ import pytest
 from keymint_ros2_dds.transports.enclave_model import EnclaveModel
 from keymint_ros2_dds.vendors.participants import CycloneDDS, ProbeEndpoint, RefusedError, System, Vendor
 
-from keymint.api import Enclave, Environment
+from keymint.api import Environment, InstalledEnclave
 
 from .conftest import on_each_fastdds, variation_of
 from .handmade import Authorities, Authority
@@ -55,7 +55,7 @@ def place(authorities: Authorities) -> Place:
 def model_of(vendor: Vendor, folder: Path, distro: str = "jazzy") -> str:
     """Return why the model of a vendor refuses an enclave, or an empty text."""
     found = EnclaveModel(
-        Enclave("/own", folder, distro, folder.parent), Environment(datetime.now(UTC), folder.parent), 0
+        InstalledEnclave("/own", folder, distro, folder.parent), Environment(datetime.now(UTC), folder.parent), 0
     )
     return found.refusal or found.unauthenticated(variation_of(vendor))
 

@@ -14,7 +14,7 @@ from keymint_ros2_dds.transports.enclave_model import Simulated
 from keymint_ros2_dds.transports.real_transports import ParticipantsTransport
 from keymint_ros2_dds.vendors.participants import System
 
-from keymint.api import Enclave, Environment, Tier, Transport, Verdict
+from keymint.api import Environment, InstalledEnclave, Tier, Transport, Verdict
 from keymint.api.graph import Column, Edge, Object
 from keymint.errors import KeymintError
 from keymint.pki import smime
@@ -56,7 +56,7 @@ def enclave(authorities: Authorities, folder: Path, rules: str = "", **more: str
 
 
 @pytest.fixture
-def pair(authorities: Authorities, tmp_path: Path) -> list[Enclave]:
+def pair(authorities: Authorities, tmp_path: Path) -> list[InstalledEnclave]:
     """A talker that may publish x and z, and a listener that may do everything."""
     publish, everything = (criteria("publish", ["rt/x", "rt/z"]), criteria("publish", ["*"]))
     folders = {
@@ -68,10 +68,10 @@ def pair(authorities: Authorities, tmp_path: Path) -> list[Enclave]:
             name="/listener",
         ),
     }
-    return [Enclave(subject, folder, "humble", folder.parent) for subject, folder in folders.items()]
+    return [InstalledEnclave(subject, folder, "humble", folder.parent) for subject, folder in folders.items()]
 
 
-def labelled(transport: Transport, enclaves: list[Enclave], tier: Tier, *edges: Edge) -> list[Verdict]:
+def labelled(transport: Transport, enclaves: list[InstalledEnclave], tier: Tier, *edges: Edge) -> list[Verdict]:
     found = list(transport.label(enclaves, iter(edges), tier))
     assert [edge for edge, _ in found] == list(edges)
     return [verdict for _, verdict in found]
@@ -85,7 +85,7 @@ EDGES = (talker("publish", X), talker("subscribe", X), talker("publish", Y), tal
 
 
 @pytest.mark.parametrize("tier", list(Tier))
-def test_all_tiers_make_the_same_decisions(transport: Transport, pair: list[Enclave], tier: Tier) -> None:
+def test_all_tiers_make_the_same_decisions(transport: Transport, pair: list[InstalledEnclave], tier: Tier) -> None:
     found = labelled(transport, pair, tier, *EDGES, Edge("/listener", "publish", Y))
     assert [verdict.allowed for verdict in found] == [True, False, False, True, True]
     assert all(verdict.reason for verdict in found)
@@ -93,7 +93,9 @@ def test_all_tiers_make_the_same_decisions(transport: Transport, pair: list[Encl
 
 
 @pytest.mark.parametrize("tier", [Tier.DECISION, Tier.ADMISSION])
-def test_many_endpoints_are_decided_as_one_by_one(transport: Transport, pair: list[Enclave], tier: Tier) -> None:
+def test_many_endpoints_are_decided_as_one_by_one(
+    transport: Transport, pair: list[InstalledEnclave], tier: Tier
+) -> None:
     assert transport.ADMITS
     unsayable = talker("publish", Object("topic", "a\tb"))
     asked = [*EDGES, unsayable, *(talker("publish", Object("topic", f"rt/{n}")) for n in range(70)), *EDGES]
@@ -108,14 +110,16 @@ def by_domain(edge: Edge) -> int:
     return edge.domain
 
 
-def test_allowed_samples_are_delivered_and_an_intruder_is_refused(transport: Transport, pair: list[Enclave]) -> None:
+def test_allowed_samples_are_delivered_and_an_intruder_is_refused(
+    transport: Transport, pair: list[InstalledEnclave]
+) -> None:
     found = labelled(transport, pair, Tier.EXCHANGE, *EDGES)
     assert found[0].reason == "a sample was delivered with /listener"
     assert all(found[index].reason.endswith("; /listener refuses it as well") for index in (1, 2))
 
 
 def test_a_participant_that_does_not_conform_ignores_its_own_permissions(
-    transport: ParticipantsTransport, pair: list[Enclave]
+    transport: ParticipantsTransport, pair: list[InstalledEnclave]
 ) -> None:
     """Else its refusal, which the tier *exchange* reports, would be by its own side."""
     with System(transport._vendor(nonconforming=True)) as system:
@@ -133,7 +137,7 @@ def test_samples_are_exchanged_within_a_partition(
 ) -> None:
     both = criteria("publish", ["rt/x"], ["a"]) + criteria("subscribe", ["rt/x"], ["a"])
     enclaves = [
-        Enclave(
+        InstalledEnclave(
             f"/{name}", enclave(authorities, tmp_path / name, rule("allow", both), name=f"/{name}"), "humble", tmp_path
         )
         for name in ("talker", "listener")
@@ -151,7 +155,9 @@ def test_a_refused_enclave_denies_every_edge_and_reports_the_reason(
 ) -> None:
     content = permissions_document("CN=/somebody", rule("allow", criteria("publish", ["rt/x"])))
     folder = enclave(authorities, tmp_path, name="/talker", permissions=content)
-    [found] = labelled(transport, [Enclave("/talker", folder, "humble", folder.parent)], tier, talker("publish", X))
+    [found] = labelled(
+        transport, [InstalledEnclave("/talker", folder, "humble", folder.parent)], tier, talker("publish", X)
+    )
     assert not found.allowed
     assert "refuse" in found.reason
 
@@ -160,7 +166,7 @@ def test_domains_are_decided_separately(authorities: Authorities, transport: Tra
     wide = governance_document(domains="<id_range><min>0</min><max>9</max></id_range>")
     folder = enclave(authorities, tmp_path, rule("allow", criteria("publish", ["rt/x"])), governance=wide)
     edges = [talker("publish", X, domain) for domain in (0, 1)]
-    found = labelled(transport, [Enclave("/talker", folder, "humble", folder.parent)], Tier.DECISION, *edges)
+    found = labelled(transport, [InstalledEnclave("/talker", folder, "humble", folder.parent)], Tier.DECISION, *edges)
     assert found[0].allowed
     assert found[1].allowed == found[1].deviation.startswith("row 10, domains-unused")
 
@@ -172,7 +178,9 @@ def test_a_document_that_crashes_cyclone_dds_is_not_given_to_it(
 ) -> None:
     crashing = rule("allow", criteria("publish", ["rt/x"])).replace("<id>0</id>", "<id_range><max>3</max></id_range>")
     folder = enclave(authorities, tmp_path, crashing)
-    [found] = labelled(transport, [Enclave("/talker", folder, "humble", folder.parent)], tier, talker("publish", X))
+    [found] = labelled(
+        transport, [InstalledEnclave("/talker", folder, "humble", folder.parent)], tier, talker("publish", X)
+    )
     assert (found.allowed, "crashes Cyclone DDS" in found.reason) == (False, True)
 
 
@@ -187,14 +195,14 @@ def test_cyclone_dds_prints_nothing_on_our_standard_output(
     folder = enclave(authorities, tmp_path, rule("allow", criteria("publish", ["rt/x"]), domain=231))
     opened = real_cyclonedds.open(environment())
     [found] = labelled(
-        opened, [Enclave("/talker", folder, "humble", folder.parent)], Tier.DECISION, talker("publish", X)
+        opened, [InstalledEnclave("/talker", folder, "humble", folder.parent)], Tier.DECISION, talker("publish", X)
     )
     ctypes.CDLL(None).fflush(None)
     assert not found.allowed
     assert capfd.readouterr().out == ""
 
 
-def test_names_that_no_topic_can_have_are_denied(transport: Transport, pair: list[Enclave]) -> None:
+def test_names_that_no_topic_can_have_are_denied(transport: Transport, pair: list[InstalledEnclave]) -> None:
     edges = [talker("publish", Object("topic", name)) for name in ("", "a\tb", "a\nb")]
     assert not any(verdict.allowed for verdict in labelled(transport, pair, Tier.ADMISSION, *edges))
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from keymint_ros2_zenoh.transports import real_zenoh, zenoh_1
 
-from keymint.api import Enclave, Environment, Tier, Verdict
+from keymint.api import Environment, InstalledEnclave, Tier, Verdict
 from keymint.api.graph import Edge, Object
 from keymint.errors import KeymintError
 from tests.plugins.keymint_ros2_zenoh.install_spaces import ROUTER, InstallSpace, key
@@ -46,7 +46,7 @@ def space(tmp_path: Path) -> InstallSpace:
     return InstallSpace(tmp_path / "install", rights)
 
 
-def labelled(opened, enclaves: list[Enclave], tier: Tier, *edges: Edge) -> list[Verdict]:
+def labelled(opened, enclaves: list[InstalledEnclave], tier: Tier, *edges: Edge) -> list[Verdict]:
     found = list(opened.label(enclaves, iter(edges), tier))
     assert [edge for edge, _ in found] == list(edges)
     return [verdict for _, verdict in found]

@@ -18,7 +18,7 @@ from pathlib import Path
 from keymint_ros2_dds.decision.semantics import CYCLONEDDS_0_10, FASTDDS_2_9, OMG
 from keymint_ros2_dds.transports.enclave_model import EnclaveModel
 
-from keymint.api import Enclave, Environment
+from keymint.api import Environment, InstalledEnclave
 from keymint.api.graph import Edge, Object
 from tests.conftest import NOW, Outcome
 
@@ -172,7 +172,7 @@ class Fleet:
                         yield f"{self.now:%Y-%m-%d} /{name} may publish {sorted(stolen)} ({variation.name})"
 
     def _model(self, folder: Path, name: str) -> EnclaveModel:
-        enclave = Enclave(f"/{name}", folder, "jazzy", folder.parent)
+        enclave = InstalledEnclave(f"/{name}", folder, "jazzy", folder.parent)
         return EnclaveModel(enclave, Environment(self.now, self.folder), 0)
 
     @staticmethod

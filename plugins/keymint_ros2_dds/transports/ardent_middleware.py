@@ -14,7 +14,7 @@ from dataclasses import replace
 from itertools import islice, tee
 
 from comarmor.values import dataclass
-from keymint.api import Availability, Enclave, Tier, Transport, Verdict
+from keymint.api import Availability, InstalledEnclave, Tier, Transport, Verdict
 from keymint.api.graph import Edge
 from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.lowering.name_mapping import ARDENT
@@ -57,7 +57,9 @@ class ArdentMiddleware(Transport):
         tiers = tuple(tier for tier in availability.tiers if tier is not Tier.EXCHANGE)
         return replace(availability, tiers=tiers, by_default=False)
 
-    def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
+    def label(
+        self, enclaves: Sequence[InstalledEnclave], edges: Iterable[Edge], tier: Tier
+    ) -> Iterator[tuple[Edge, Verdict]]:
         """See :meth:`keymint.api.Transport.label`."""
         distros = {enclave.subject: enclave.distro for enclave in enclaves}
         asked, waiting = tee((edge, created_endpoints(distros[edge.subject], edge)) for edge in edges)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from comarmor.errors import Origin
-from keymint.api import Enclave, Environment
+from keymint.api import Environment, InstalledEnclave
 from keymint.api.transports import installed_file
 from keymint.errors import KeymintError
 from keymint.pki import certificates, mime, smime
@@ -74,7 +74,7 @@ def crash(permissions: PermissionsDocument) -> str:
     return f"line {found.line}: {found.text} crashes Cyclone DDS" if found else ""
 
 
-def document_topics(enclave: Enclave) -> tuple[tuple[str, tuple[str, ...]], ...]:
+def document_topics(enclave: InstalledEnclave) -> tuple[tuple[str, tuple[str, ...]], ...]:
     """Return each topic expression of the permissions with its partition expressions, then those of the governance.
 
     What cannot be read is left out, and reported by the transports; so is ``*``, of which every name is an example.
@@ -129,7 +129,7 @@ def subject_name(certificate: bytes, where: Origin) -> str:
     return subject_names.of_any(certificates.load(certificate, where).subject)
 
 
-def refuse_unusable_key(enclave: Enclave) -> None:
+def refuse_unusable_key(enclave: InstalledEnclave) -> None:
     """Refuse an enclave whose private key is encrypted or in a token: participants are given neither password nor PIN.
 
     Raises:

@@ -19,7 +19,7 @@ from cryptography import x509
 
 from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
-from keymint.api import Availability, Enclave, Environment, Tier, Transport, Verdict
+from keymint.api import Availability, Environment, InstalledEnclave, Tier, Transport, Verdict
 from keymint.api.graph import Column, Edge
 from keymint.api.transports import EnclavesBySubject, installed_file
 from keymint.errors import KeymintError
@@ -50,7 +50,7 @@ class Authentication:
         KeymintError: a file cannot be read, or is no certificate.
     """
 
-    def __init__(self, enclave: Enclave, now: datetime) -> None:
+    def __init__(self, enclave: InstalledEnclave, now: datetime) -> None:
         folder = enclave.folder
         trusted = layout.authority_file(folder, layout.IDENTITY_CA)
         bundle, reads = installed_file(folder / trusted), layout.reads_revocations(enclave.distro)
@@ -129,7 +129,7 @@ class EnclaveModel:
         KeymintError: Keymint does not read this form of a signed file, although a vendor may.
     """
 
-    def __init__(self, enclave: Enclave, environment: Environment, domain: int) -> None:
+    def __init__(self, enclave: InstalledEnclave, environment: Environment, domain: int) -> None:
         self._rules = str(enclave_files.rules_file(enclave.folder))
         self._now = environment.now
         self._domain = domain
@@ -270,7 +270,9 @@ class EnclaveModels:
         enclaves: the enclaves by subject.
     """
 
-    def __init__(self, enclaves: Iterable[Enclave], environment: Environment, *, keep_all: bool = False) -> None:
+    def __init__(
+        self, enclaves: Iterable[InstalledEnclave], environment: Environment, *, keep_all: bool = False
+    ) -> None:
         self.enclaves = EnclavesBySubject((enclave.subject, enclave) for enclave in enclaves)
         self._environment = environment
         self._keep_all = keep_all
@@ -310,7 +312,9 @@ class Simulated(Transport):
         version = "1.1" if self._variation is OMG else self._variation.name.rpartition("-")[2]
         return Availability(usable=True, version=version, tiers=(Tier.DECISION,))
 
-    def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
+    def label(
+        self, enclaves: Sequence[InstalledEnclave], edges: Iterable[Edge], tier: Tier
+    ) -> Iterator[tuple[Edge, Verdict]]:
         """See :meth:`keymint.api.Transport.label`."""
         del tier
         models = EnclaveModels(enclaves, self._environment)
@@ -318,7 +322,7 @@ class Simulated(Transport):
             needed = endpoints(models.enclaves[edge.subject].distro, edge)
             yield edge, models.of(edge.subject, edge.domain).verdict(self._variation, needed)
 
-    def admitted(self, enclave: Enclave, endpoints: Column, tier: Tier) -> bytes:
+    def admitted(self, enclave: InstalledEnclave, endpoints: Column, tier: Tier) -> bytes:
         """See :meth:`keymint.api.Transport.admitted`."""
         del tier
         models, domains = EnclaveModels([enclave], self._environment), {each.domain for each in endpoints.requests}

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from comarmor.regex import lazy_regex
-from keymint.api import Availability, Enclave, Environment, Tier, Verdict
+from keymint.api import Availability, Environment, InstalledEnclave, Tier, Verdict
 from keymint.api.graph import Column, Edge
 from keymint.errors import KeymintError
 from keymint.host.vendor_process import MissingVendorError, ProcessDiedError, ProcessFailedError, VendorTransport
@@ -93,7 +93,9 @@ class ParticipantsTransport(VendorTransport):
         version = probe.version(*self._software.version, variables)
         return Availability(usable=True, version=version, tiers=tuple(Tier))
 
-    def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
+    def label(
+        self, enclaves: Sequence[InstalledEnclave], edges: Iterable[Edge], tier: Tier
+    ) -> Iterator[tuple[Edge, Verdict]]:
         """See :meth:`keymint.api.Transport.label`."""
         self.usable().require(tier, self._name)
         models = EnclaveModels(enclaves, self._environment, keep_all=tier is Tier.EXCHANGE)
@@ -104,7 +106,7 @@ class ParticipantsTransport(VendorTransport):
             enclave_files.refuse_unusable_key(enclave)
         return exchange(vendor, self._software.model, models, edges)
 
-    def admitted(self, enclave: Enclave, endpoints: Column, tier: Tier) -> bytes:
+    def admitted(self, enclave: InstalledEnclave, endpoints: Column, tier: Tier) -> bytes:
         """See :meth:`keymint.api.Transport.admitted`."""
         opener, models = self._opener(tier), EnclaveModels([enclave], self._environment)
         admitted = bytearray(len(endpoints.requests))
@@ -213,12 +215,14 @@ class RosTransport(VendorTransport):
             return Availability(False, version, "this rmw implementation is not of DDS", "set RMW_IMPLEMENTATION")
         return Availability(usable=True, version=version, tiers=(Tier.ADMISSION,), by_default=False)
 
-    def asked(self, enclave: Enclave, edge: Edge) -> Sequence[Edge]:
+    def asked(self, enclave: InstalledEnclave, edge: Edge) -> Sequence[Edge]:
         """See :meth:`keymint.api.Transport.asked`: a node creates nothing but topics and services of ROS."""
         found = meanings(enclave.distro, edge) if edge.object.kind == "topic" else (edge,)
         return [each for each in found if not each.object.partitions and _is_legal(each.object.name)]
 
-    def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
+    def label(
+        self, enclaves: Sequence[InstalledEnclave], edges: Iterable[Edge], tier: Tier
+    ) -> Iterator[tuple[Edge, Verdict]]:
         """See :meth:`keymint.api.Transport.label`. The reason of a denial is what ROS says, without the name."""
         self.usable().require(tier, "ros")
         models = EnclaveModels(enclaves, self._environment)
@@ -232,7 +236,7 @@ class RosTransport(VendorTransport):
             raise KeymintError(str(error), code="transport-failed") from None
 
     def _labelled(
-        self, network: RosNetwork, models: EnclaveModels, enclave: Enclave, domain: int, edges: Iterable[Edge]
+        self, network: RosNetwork, models: EnclaveModels, enclave: InstalledEnclave, domain: int, edges: Iterable[Edge]
     ) -> Iterator[tuple[Edge, Verdict]]:
         """Yield the decisions on the edges of an enclave; a node that dies of one is started again for the next."""
         vendor, distro = "fastdds" if "rtps" in network.rmw else "cyclonedds", self._environment.variables["ROS_DISTRO"]

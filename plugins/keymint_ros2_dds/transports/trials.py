@@ -21,7 +21,7 @@ from itertools import groupby, islice, repeat
 from typing import cast
 
 from comarmor.values import dataclass
-from keymint.api import Enclave, Verdict
+from keymint.api import InstalledEnclave, Verdict
 from keymint.api.graph import Edge
 from keymint.errors import KeymintError
 from keymint.host.vendor_process import ProcessFailedError
@@ -62,7 +62,9 @@ def participants(vendor: Vendor, subject: str) -> Iterator[System]:
         raise KeymintError(f"{subject}: {error}", code="transport-failed") from None
 
 
-def open_participant(system: System, enclave: Enclave, domain: int, *, conforming: bool = True) -> ProbeParticipant:
+def open_participant(
+    system: System, enclave: InstalledEnclave, domain: int, *, conforming: bool = True
+) -> ProbeParticipant:
     """Return a participant of an enclave; see :meth:`System.open`.
 
     Raises:
@@ -149,7 +151,7 @@ class _Trial:
     endpoint: Edge
     admitted: bool
     answer: str
-    peer: Enclave | None
+    peer: InstalledEnclave | None
     delivered: bool = False
 
 
@@ -190,7 +192,7 @@ def _batch(
         yield edge, enclave_model.verdict(model, needed, (_answer(trials[endpoint]) for endpoint in needed))
 
 
-def _peer(endpoint: Edge, models: EnclaveModels, model: Variation) -> Enclave | None:
+def _peer(endpoint: Edge, models: EnclaveModels, model: Variation) -> InstalledEnclave | None:
     """Return the first other enclave, by name, that may be the other end by the model of the vendor.
 
     One that refuses the subject in the handshake, or is refused by it, is taken if there is no other.
@@ -223,7 +225,7 @@ def _admitted(vendor: Vendor, model: Variation, models: EnclaveModels, batch: Se
         }
 
 
-def _deliver(vendor: Vendor, enclave: Enclave, trials: Sequence[_Trial]) -> None:
+def _deliver(vendor: Vendor, enclave: InstalledEnclave, trials: Sequence[_Trial]) -> None:
     """Send a sample over each endpoint between two conforming participants."""
     if not trials:
         return
@@ -233,7 +235,7 @@ def _deliver(vendor: Vendor, enclave: Enclave, trials: Sequence[_Trial]) -> None
             trial.delivered = arrives is not None and arrives(DELIVERY_SECONDS)
 
 
-def _intrude(vendor: Vendor, enclave: Enclave, trials: Sequence[_Trial]) -> None:
+def _intrude(vendor: Vendor, enclave: InstalledEnclave, trials: Sequence[_Trial]) -> None:
     """Try denied endpoints, with a participant that ignores its own permissions."""
     denied = [trial for trial in trials if not trial.admitted]
     if not denied:
@@ -254,10 +256,10 @@ _Arrives = Callable[[float], bool]
 
 
 def _pairs(
-    system: System, enclave: Enclave, trials: Sequence[_Trial], *, conforming: bool
+    system: System, enclave: InstalledEnclave, trials: Sequence[_Trial], *, conforming: bool
 ) -> list[tuple[_Trial, _Arrives | None]]:
     """Create both ends of each endpoint, in order, and write a sample; None if an end cannot be created."""
-    domain, peer = trials[0].endpoint.domain, cast("Enclave", trials[0].peer)
+    domain, peer = trials[0].endpoint.domain, cast("InstalledEnclave", trials[0].peer)
     pairs: list[tuple[_Trial, _Arrives | None]] = []
     try:
         other = open_participant(system, peer, domain)

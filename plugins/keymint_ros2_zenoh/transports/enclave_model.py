@@ -14,7 +14,7 @@ from pathlib import Path, PurePosixPath
 
 from comarmor.errors import Origin
 from comarmor.values import dataclass
-from keymint.api import Availability, Enclave, Environment, Tier, Transport, Verdict
+from keymint.api import Availability, Environment, InstalledEnclave, Tier, Transport, Verdict
 from keymint.api.graph import Edge
 from keymint.api.transports import EnclavesBySubject, installed_file
 from keymint.errors import KeymintError
@@ -100,7 +100,7 @@ def configuration(file: Path, install: Path, environment: Environment) -> Instal
     return found
 
 
-def installed_names(enclave: Enclave) -> tuple[str, ...]:
+def installed_names(enclave: InstalledEnclave) -> tuple[str, ...]:
     """Return expressions of names like those in the router's rights; see :class:`keymint.api.BuildType`."""
     try:
         content = installed_file(enclave.install / ROUTER)
@@ -139,7 +139,7 @@ class ZenohEnclaveModel:
         KeymintError: a file cannot be read.
     """
 
-    def __init__(self, enclave: Enclave, router: InstalledConfiguration, environment: Environment) -> None:
+    def __init__(self, enclave: InstalledEnclave, router: InstalledConfiguration, environment: Environment) -> None:
         self.files = configuration(enclave.folder / SESSION, enclave.install, environment)
         own_name = self.files.common_name(self.files.configuration.connect_certificate)
         others_name = router.common_name(router.configuration.listen_certificate)
@@ -191,7 +191,7 @@ class InstalledModels:
         enclaves: the enclaves by subject.
     """
 
-    def __init__(self, enclaves: Iterable[Enclave], environment: Environment) -> None:
+    def __init__(self, enclaves: Iterable[InstalledEnclave], environment: Environment) -> None:
         self.enclaves = EnclavesBySubject((enclave.subject, enclave) for enclave in enclaves)
         self._environment = environment
         self._routers: dict[Path, InstalledConfiguration] = {}
@@ -288,7 +288,9 @@ class SimulatedZenoh(Transport):
         """Return that it is usable."""
         return Availability(usable=True, version="1", tiers=(Tier.DECISION,))
 
-    def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
+    def label(
+        self, enclaves: Sequence[InstalledEnclave], edges: Iterable[Edge], tier: Tier
+    ) -> Iterator[tuple[Edge, Verdict]]:
         """See :meth:`keymint.api.Transport.label`."""
         del tier
         models = InstalledModels(enclaves, self.environment)

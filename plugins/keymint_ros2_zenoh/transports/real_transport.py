@@ -20,7 +20,7 @@ from dataclasses import replace
 from itertools import chain, groupby
 
 from comarmor.values import dataclass
-from keymint.api import Availability, Enclave, Tier, Verdict
+from keymint.api import Availability, InstalledEnclave, Tier, Verdict
 from keymint.api.graph import Edge
 from keymint.host.vendor_process import VendorTransport
 from keymint_ros2_zenoh.lowering.permissions import CALL, OTHER_END, PUBLISH, SUBSCRIBE, Operation
@@ -247,13 +247,15 @@ class RealZenoh(VendorTransport):
     def _installed(self) -> Availability:
         return Availability(usable=True, version=installed_version(), tiers=tuple(Tier))
 
-    def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
+    def label(
+        self, enclaves: Sequence[InstalledEnclave], edges: Iterable[Edge], tier: Tier
+    ) -> Iterator[tuple[Edge, Verdict]]:
         """See :meth:`keymint.api.Transport.label`."""
         self.usable().require(tier, "zenoh")
         return self._label(exchange if tier is Tier.EXCHANGE else logged_decisions, enclaves, edges)
 
     def _label(
-        self, label: _Labeller, enclaves: Sequence[Enclave], edges: Iterable[Edge]
+        self, label: _Labeller, enclaves: Sequence[InstalledEnclave], edges: Iterable[Edge]
     ) -> Iterator[tuple[Edge, Verdict]]:
         models = InstalledModels(enclaves, self._environment)
         for install, group in groupby(edges, key=lambda edge: models.enclaves[edge.subject].install):

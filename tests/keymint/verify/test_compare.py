@@ -13,13 +13,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from comarmor.errors import Origin, Reason
-from keymint.api import Availability, Enclave, PolicyDecision, Tier, Verdict
+from keymint.api import Availability, InstalledEnclave, PolicyDecision, Tier, Verdict
 from keymint.api.graph import ConfusionMatrix, Edge, Graph, Object, complete
 from keymint.errors import KeymintError
 from keymint.verify.compare import ENCLAVE_REFUSED, Asking, TransportComparison, label_enclave
 from keymint.verify.mismatch import EdgeComparison, Mismatch
 
-ENCLAVES = {name: Enclave(name, Path("/nowhere") / name[1:], "humble", Path("/nowhere")) for name in ("/a", "/b", "/c")}
+ENCLAVES = {
+    name: InstalledEnclave(name, Path("/nowhere") / name[1:], "humble", Path("/nowhere")) for name in ("/a", "/b", "/c")
+}
 
 
 @dataclass
@@ -35,7 +37,9 @@ class Transport:
     def usable(self) -> Availability:
         return Availability(True, "9", tiers=(Tier.DECISION, Tier.EXCHANGE))
 
-    def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
+    def label(
+        self, enclaves: Sequence[InstalledEnclave], edges: Iterable[Edge], tier: Tier
+    ) -> Iterator[tuple[Edge, Verdict]]:
         self.asked.append((tuple(enclave.subject for enclave in enclaves), tier))
         waiting: list[Edge] = []
         for edge in edges:
@@ -50,7 +54,7 @@ class Transport:
         return edge, Verdict(edge in self.allowed)
 
 
-def explain(name: str, enclave: Enclave, wrong: list[tuple[Edge, Verdict]]) -> list[Mismatch]:
+def explain(name: str, enclave: InstalledEnclave, wrong: list[tuple[Edge, Verdict]]) -> list[Mismatch]:
     return [
         Mismatch(
             edge,

@@ -15,7 +15,7 @@ from keymint_ros2_comarmor import policy_type
 from keymint_ros2_dds import build_type
 
 from comarmor.errors import Origin, Reason
-from keymint.api import Availability, Enclave, PolicyDecision, PolicySource, Tier, Verdict
+from keymint.api import Availability, InstalledEnclave, PolicyDecision, PolicySource, Tier, Verdict
 from keymint.api.graph import Column, Edge, Object
 from keymint.errors import KeymintError
 from keymint.verify.compare import ENCLAVE_REFUSED, Asking, TransportComparison
@@ -23,7 +23,7 @@ from keymint.verify.endpoint_policy import EdgeRow, EndpointPolicy, Naming, labe
 from keymint.verify.mismatch import EdgeComparison, Mismatch
 
 SUBJECTS = ("/a", "/b", "/c")
-ENCLAVES = {name: Enclave(name, Path("/nowhere") / name[1:], "humble", Path("/nowhere")) for name in SUBJECTS}
+ENCLAVES = {name: InstalledEnclave(name, Path("/nowhere") / name[1:], "humble", Path("/nowhere")) for name in SUBJECTS}
 NAMING = Naming(build_type.names, "humble")
 REQUESTS = (
     *(Edge("", "ros_publish", Object("ros_topic", name)) for name in ("/x", "/y")),
@@ -59,7 +59,7 @@ class Transport:
 
     def label(
         self,
-        enclaves: Sequence[Enclave],  # noqa: ARG002
+        enclaves: Sequence[InstalledEnclave],  # noqa: ARG002
         edges: Iterable[Edge],
         tier: Tier,  # noqa: ARG002
     ) -> Iterator[tuple[Edge, Verdict]]:
@@ -68,11 +68,11 @@ class Transport:
             allowed = all(self._admits(edge.subject, endpoint) for endpoint in NAMING.endpoints(edge))
             yield edge, Verdict(allowed, f"decided for {edge.subject}")
 
-    def admitted(self, enclave: Enclave, endpoints: Column, tier: Tier) -> bytes:  # noqa: ARG002
+    def admitted(self, enclave: InstalledEnclave, endpoints: Column, tier: Tier) -> bytes:  # noqa: ARG002
         return bytes(self._admits(enclave.subject, each) for each in endpoints.requests)
 
 
-def explain(name: str, enclave: Enclave, wrong: list[tuple[Edge, Verdict]]) -> list[Mismatch]:
+def explain(name: str, enclave: InstalledEnclave, wrong: list[tuple[Edge, Verdict]]) -> list[Mismatch]:
     decided = PolicyDecision(False, None, Reason(("",)))
     return [Mismatch(edge, decided, verdict, f"{name} {enclave.subject}", Origin("x")) for edge, verdict in wrong]
 

@@ -12,7 +12,7 @@ import pytest
 
 from comarmor.errors import Origin
 from keymint import api
-from keymint.api import Availability, Enclave, Tier, Verdict
+from keymint.api import Availability, InstalledEnclave, Tier, Verdict
 from keymint.api.graph import Edge, Object
 from keymint.errors import ExitCode, KeymintError
 from keymint.verify.copies import enclave_copies, local_copies
@@ -33,7 +33,7 @@ class Transport(api.Transport):
 
     def label(
         self,
-        enclaves: Sequence[Enclave],
+        enclaves: Sequence[InstalledEnclave],
         edges: Iterable[Edge],
         tier: Tier,  # noqa: ARG002
     ) -> Iterator[tuple[Edge, Verdict]]:
@@ -49,7 +49,7 @@ class Transport(api.Transport):
 
 
 @pytest.fixture
-def enclaves(tmp_path: Path) -> dict[str, Enclave]:
+def enclaves(tmp_path: Path) -> dict[str, InstalledEnclave]:
     """Return an enclave with documents, a key, an inner folder, a link and a broken link."""
     folder = tmp_path / "install" / "enclaves" / "a" / "b"
     (folder / "inner").mkdir(parents=True)
@@ -58,14 +58,14 @@ def enclaves(tmp_path: Path) -> dict[str, Enclave]:
     (tmp_path / "ca.pem").write_bytes(b"linked")
     (folder / "ca.pem").symlink_to(tmp_path / "ca.pem")
     (folder / "gone.pem").symlink_to("nowhere")
-    return {"/a/b": Enclave("/a/b", folder, "humble", tmp_path / "install")}
+    return {"/a/b": InstalledEnclave("/a/b", folder, "humble", tmp_path / "install")}
 
 
 def files(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def test_documents_are_copied_and_removed_at_the_end(tmp_path: Path, enclaves: dict[str, Enclave]) -> None:
+def test_documents_are_copied_and_removed_at_the_end(tmp_path: Path, enclaves: dict[str, InstalledEnclave]) -> None:
     with enclave_copies(Tree(), tmp_path / "install", enclaves, [Transport()]) as copies:
         folder = copies.enclaves["/a/b"].folder
         assert folder == copies.root / "enclaves" / "a" / "b"
@@ -76,14 +76,14 @@ def test_documents_are_copied_and_removed_at_the_end(tmp_path: Path, enclaves: d
 
 
 def test_keys_are_copied_if_one_transport_needs_more_than_documents(
-    tmp_path: Path, enclaves: dict[str, Enclave]
+    tmp_path: Path, enclaves: dict[str, InstalledEnclave]
 ) -> None:
     transports = {"model": Transport(), "real": Transport((Tier.DECISION, Tier.EXCHANGE))}
     with enclave_copies(Tree(), tmp_path / "install", enclaves, transports.values()) as copies:
         assert {"key.pem", "authority_key.pem"} <= set(files(copies.enclaves["/a/b"].folder))
 
 
-def test_a_reason_names_the_original(tmp_path: Path, enclaves: dict[str, Enclave]) -> None:
+def test_a_reason_names_the_original(tmp_path: Path, enclaves: dict[str, InstalledEnclave]) -> None:
     with enclave_copies(Tree(), tmp_path / "install", enclaves, [Transport()]) as copies:
         ((_, verdict),) = Transport().label(list(copies.enclaves.values()), [EDGE], Tier.DECISION)
     reason = f"{enclaves['/a/b'].folder}/permissions.p7s: False"
@@ -91,7 +91,7 @@ def test_a_reason_names_the_original(tmp_path: Path, enclaves: dict[str, Enclave
 
 
 def test_shared_files_and_the_infrastructure_are_copied_and_other_enclaves_are_not(
-    tmp_path: Path, enclaves: dict[str, Enclave]
+    tmp_path: Path, enclaves: dict[str, InstalledEnclave]
 ) -> None:
     install = tmp_path / "install"
     for name in ("shared/deep/rights.xml", "enclaves/key.pem", ".hidden/x", "enclaves/server/key.pem", "enclaves/c/x"):
@@ -113,7 +113,7 @@ def test_shared_files_and_the_infrastructure_are_copied_and_other_enclaves_are_n
 
 
 @pytest.mark.parametrize("elsewhere", [True, False])
-def test_an_error_names_the_originals(tmp_path: Path, enclaves: dict[str, Enclave], elsewhere: bool) -> None:
+def test_an_error_names_the_originals(tmp_path: Path, enclaves: dict[str, InstalledEnclave], elsewhere: bool) -> None:
     transport = Transport(fails=True)
     folder = enclaves["/a/b"].folder
     with pytest.raises(KeymintError) as caught:  # noqa: SIM117, PT012 - the error leaves the copies
@@ -129,7 +129,7 @@ def test_an_error_names_the_originals(tmp_path: Path, enclaves: dict[str, Enclav
 
 @pytest.mark.parametrize("content", [b"\x30\x82\x01\x22DER", b"-----BEGIN PRIVATE KEY-----"], ids=["DER", "PEM"])
 def test_no_private_key_is_a_public_file_whatever_its_encoding(
-    tmp_path: Path, enclaves: dict[str, Enclave], content: bytes
+    tmp_path: Path, enclaves: dict[str, InstalledEnclave], content: bytes
 ) -> None:
     for name in ("key.pem", "authority_key.pem"):
         (enclaves["/a/b"].folder / name).write_bytes(content)

@@ -12,7 +12,7 @@ from keymint_ros2_comarmor import policy_type
 from keymint_ros2_dds import build_type
 
 from comarmor.errors import Origin
-from keymint.api import Availability, Enclave, PolicySource, Tier, Verdict
+from keymint.api import Availability, InstalledEnclave, PolicySource, Tier, Verdict
 from keymint.api.graph import Column, ConfusionMatrix, Edge, EdgeOutcome, Object
 from keymint.verify.compare import Asking, TransportComparison
 from keymint.verify.endpoint_policy import EdgeRow, EndpointPolicy, Naming
@@ -34,7 +34,7 @@ class Transport:
 
     def label(
         self,
-        enclaves: Sequence[Enclave],  # noqa: ARG002
+        enclaves: Sequence[InstalledEnclave],  # noqa: ARG002
         edges: Iterable[Edge],
         tier: Tier,  # noqa: ARG002
     ) -> Iterator[tuple[Edge, Verdict]]:
@@ -57,11 +57,11 @@ def call(name: str) -> Edge:
 def compared(judge: EndpointPolicy, allowed: set[str], edges: Sequence[Edge], limit: int = 10) -> EdgeComparison:
     """Add the endpoints to a comparison without mismatches."""
 
-    def explain(name: str, enclave: Enclave, wrong: list[tuple[Edge, Verdict]]) -> list[Mismatch]:
+    def explain(name: str, enclave: InstalledEnclave, wrong: list[tuple[Edge, Verdict]]) -> list[Mismatch]:
         return [Mismatch(edge, judge.decide(edge), verdict, verdict.reason, HERE) for edge, verdict in wrong]
 
     asking = Asking(Tier.DECISION, limit, lambda _name, _subject: None)
-    enclaves = {"/s": Enclave("/s", Path("/nowhere/s"), "humble", Path("/nowhere"))}
+    enclaves = {"/s": InstalledEnclave("/s", Path("/nowhere/s"), "humble", Path("/nowhere"))}
     comparison = TransportComparison("fake", Transport(frozenset(allowed)), enclaves, explain, asking)
     comparison.halves([EdgeRow("/s", Column(tuple(edges)))], bytes(judge.decide(edge).allowed for edge in edges), judge)
     return comparison.result()

@@ -11,7 +11,7 @@ from typing import Any, cast
 
 import pytest
 
-from keymint.api import Availability, Enclave, Tier, Verdict
+from keymint.api import Availability, InstalledEnclave, Tier, Verdict
 from keymint.api.graph import Edge
 from keymint.errors import ExitCode, KeymintError
 from keymint.verify.copies import Copies
@@ -30,7 +30,9 @@ class Transport:
     def usable(self) -> Availability:
         return self.availability
 
-    def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
+    def label(
+        self, enclaves: Sequence[InstalledEnclave], edges: Iterable[Edge], tier: Tier
+    ) -> Iterator[tuple[Edge, Verdict]]:
         raise NotImplementedError
 
 

@@ -18,7 +18,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
-from keymint.api import Enclave
+from keymint.api import InstalledEnclave
 
 ROUTER = "zenoh_router"
 _IN, _OUT = ["ingress"], ["egress"]
@@ -76,7 +76,7 @@ class InstallSpace:
         """The certificate of the authority, PEM."""
         return self._certificate.public_bytes(serialization.Encoding.PEM)
 
-    def write(self) -> list[Enclave]:
+    def write(self) -> list[InstalledEnclave]:
         """Write all files and return the enclaves of the subjects."""
         self.enclave(ROUTER, ROUTER, server=True)
         shared = self.folder / "zenoh"
@@ -87,7 +87,7 @@ class InstallSpace:
             folder = self.enclave(subject[1:], self.names.get(subject, subject), seconds=self.lives.get(subject))
             document = merged(self.session(folder), self.changes.get(subject, {}))
             (folder / "session.json5").write_text(json.dumps(document, indent=1))
-            enclaves.append(Enclave(subject, folder, "jazzy", self.folder))
+            enclaves.append(InstalledEnclave(subject, folder, "jazzy", self.folder))
         return enclaves
 
     def enclave(

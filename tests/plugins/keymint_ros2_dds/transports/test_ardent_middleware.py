@@ -12,7 +12,7 @@ from keymint_ros2_dds.transports import ardent_omg
 from keymint_ros2_dds.transports.ardent_middleware import DEVIATION, ArdentMiddleware, created_endpoints
 
 from comarmor.errors import Origin
-from keymint.api import Availability, Enclave, Environment, Tier, Verdict
+from keymint.api import Availability, Environment, InstalledEnclave, Tier, Verdict
 from keymint.api.graph import Edge, Object
 
 SERVICE = Edge("/t", "ros_call", Object("ros_service", "/n/s"))
@@ -40,7 +40,7 @@ class Recorder:
 
 
 def label(transport: Recorder, *edges: Edge, distro: str = "ardent") -> list[tuple[Edge, Verdict]]:
-    enclaves = [Enclave("/t", Path("/nowhere/t"), distro, Path("/nowhere"))]
+    enclaves = [InstalledEnclave("/t", Path("/nowhere/t"), distro, Path("/nowhere"))]
     return list(ArdentMiddleware(transport).label(enclaves, edges, Tier.DECISION))
 
 
@@ -80,7 +80,7 @@ def test_edges_are_asked_as_they_come():
             assert len(transport.asked) == 2 * number
             yield SERVICE
 
-    enclaves = [Enclave("/t", Path("/nowhere/t"), "ardent", Path("/nowhere"))]
+    enclaves = [InstalledEnclave("/t", Path("/nowhere/t"), "ardent", Path("/nowhere"))]
     assert len(list(ArdentMiddleware(transport).label(enclaves, edges(), Tier.DECISION))) == 3
 
 

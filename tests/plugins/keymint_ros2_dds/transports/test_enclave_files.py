@@ -15,7 +15,7 @@ from keymint_ros2_dds.transports.enclave_files import (
 )
 
 from comarmor.errors import Origin
-from keymint.api import Enclave, Environment
+from keymint.api import Environment, InstalledEnclave
 from keymint.errors import KeymintError
 from keymint.pki import smime
 from tests.plugins.keymint_ros2_dds.enclaves import NOW, authority, installed
@@ -28,10 +28,10 @@ RULES = (
 )
 
 
-def write(folder: Path, layout: str = "sros2", **authorities: str) -> Enclave:
+def write(folder: Path, layout: str = "sros2", **authorities: str) -> InstalledEnclave:
     for name, content in installed(package(*RULES), layout, **authorities).items():
         (folder / name).write_bytes(content)
-    return Enclave("/talker", folder, "humble", folder.parent)
+    return InstalledEnclave("/talker", folder, "humble", folder.parent)
 
 
 def foreign_signature(folder: Path) -> None:

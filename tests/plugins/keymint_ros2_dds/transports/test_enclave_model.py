@@ -11,7 +11,7 @@ from cryptography import x509
 from keymint_ros2_dds.decision.semantics import CYCLONEDDS_0_10, FASTDDS_2_9, OMG, VARIATIONS, Variation
 from keymint_ros2_dds.transports.enclave_model import Authentication, EnclaveModel
 
-from keymint.api import Enclave, Environment
+from keymint.api import Environment, InstalledEnclave
 from keymint.api.graph import Column, Edge, Object
 from tests.plugins.keymint_ros2_dds.enclaves import NOW, authority, installed, revoking
 from tests.plugins.keymint_ros2_dds.packages import package, rule
@@ -24,24 +24,24 @@ RULES = (rule("ALLOW", "ros_topic", "ros_publish", "/a"),)
 PUBLISH = Edge("/talker", "publish", Object("topic", "rt/a"))
 
 
-def write(folder: Path, issuer: str = "identity_ca", **more: bytes) -> Enclave:
+def write(folder: Path, issuer: str = "identity_ca", **more: bytes) -> InstalledEnclave:
     folder.mkdir(exist_ok=True)
     for name, content in installed(package(*RULES), "sros2", identity=issuer).items():
         (folder / name).write_bytes(content)
     for name, content in more.items():
         (folder / f"{name}.pem").write_bytes(content)
-    return Enclave("/talker", folder, "jazzy", folder.parent)
+    return InstalledEnclave("/talker", folder, "jazzy", folder.parent)
 
 
-def serial(enclave: Enclave) -> int:
+def serial(enclave: InstalledEnclave) -> int:
     return x509.load_pem_x509_certificate((enclave.folder / "cert.pem").read_bytes()).serial_number
 
 
-def put(enclave: Enclave, name: str, content: bytes) -> None:
+def put(enclave: InstalledEnclave, name: str, content: bytes) -> None:
     (enclave.folder / name).write_bytes(content)
 
 
-def refusal(enclave: Enclave, variation: Variation = OMG, now: datetime = NOW) -> str:
+def refusal(enclave: InstalledEnclave, variation: Variation = OMG, now: datetime = NOW) -> str:
     return Authentication(enclave, now).refusal(variation.semantics)
 
 
@@ -74,8 +74,8 @@ def test_a_list_that_vendors_refuse(tmp_path: Path, issuer: str, days: int, reas
 
 def test_a_distribution_before_humble_reads_no_list(tmp_path: Path) -> None:
     folder = write(tmp_path / "talker", crl=b"").folder
-    assert refusal(Enclave("/talker", folder, "galactic", tmp_path)) == ""
-    assert refusal(Enclave("/talker", folder, "humble", tmp_path))
+    assert refusal(InstalledEnclave("/talker", folder, "galactic", tmp_path)) == ""
+    assert refusal(InstalledEnclave("/talker", folder, "humble", tmp_path))
 
 
 @pytest.mark.parametrize(("days", "reason"), [(4000, "has expired"), (-400, "is not yet valid")])

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from keymint_ros2_dds.transports import cyclonedds_0_10, fastdds_2_9, omg
 
-from keymint.api import Enclave, Environment, Tier, Verdict
+from keymint.api import Environment, InstalledEnclave, Tier, Verdict
 from keymint.api.graph import Column, Edge, Graph, Object, complete
 from keymint.errors import KeymintError
 from keymint.pki import smime
@@ -45,7 +45,7 @@ def verdicts(name: str, folder: Path, files: Mapping[str, bytes], *edges: Edge, 
         (folder / file).write_bytes(content)
     transport = OPENERS[name].open(Environment(now, folder / "no-cache"))
     assert transport.usable().tiers == (Tier.DECISION,)
-    enclaves = [Enclave(SUBJECT, folder, "humble", folder.parent)]
+    enclaves = [InstalledEnclave(SUBJECT, folder, "humble", folder.parent)]
     found = list(transport.label(enclaves, iter(edges), Tier.DECISION))
     assert [edge for edge, _ in found] == list(edges)
     return [verdict for _, verdict in found]
@@ -166,7 +166,7 @@ def test_memory_is_that_of_one_subject(tmp_path: Path, files: Mapping[str, bytes
             yield each
 
     labelled = omg.open(Environment(NOW, tmp_path)).label(
-        [Enclave(SUBJECT, tmp_path / "e", "humble", tmp_path)], edges(), Tier.DECISION
+        [InstalledEnclave(SUBJECT, tmp_path / "e", "humble", tmp_path)], edges(), Tier.DECISION
     )
     next(labelled)
     assert taken == 1
@@ -181,14 +181,14 @@ def test_transports_of_a_run_read_the_documents_of_an_enclave_once(tmp_path: Pat
         for opener in OPENERS.values():
             list(
                 opener.open(environment).label(
-                    [Enclave(SUBJECT, folder, "humble", tmp_path)], [edge("ros_publish")], Tier.DECISION
+                    [InstalledEnclave(SUBJECT, folder, "humble", tmp_path)], [edge("ros_publish")], Tier.DECISION
                 )
             )
     assert len(environment.opened) == 1
     (tmp_path / "one/permissions.p7s").write_bytes(files["governance.p7s"])
     transport = omg.open(environment)
     ((_, verdict),) = transport.label(
-        [Enclave(SUBJECT, tmp_path / "one", "humble", tmp_path)], [edge("ros_publish")], Tier.DECISION
+        [InstalledEnclave(SUBJECT, tmp_path / "one", "humble", tmp_path)], [edge("ros_publish")], Tier.DECISION
     )
     assert not verdict.allowed, "other files are read again"
 
@@ -210,6 +210,6 @@ def test_many_endpoints_are_decided_as_one_by_one(
     for edges in (asked, [each for each in asked if each.domain == 0]):
         one_by_one = [verdict.allowed for verdict in verdicts(name, tmp_path / "talker", written, *edges, now=now)]
         transport = OPENERS[name].open(Environment(now, tmp_path / "no-cache"))
-        enclave = Enclave(SUBJECT, tmp_path / "talker", "humble", tmp_path)
+        enclave = InstalledEnclave(SUBJECT, tmp_path / "talker", "humble", tmp_path)
         assert transport.admitted(enclave, Column(tuple(edges)), Tier.DECISION) == bytes(one_by_one)
         assert any(one_by_one) == (not days and not broken)

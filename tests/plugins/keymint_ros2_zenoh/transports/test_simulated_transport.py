@@ -11,7 +11,7 @@ import pytest
 from keymint_ros2_zenoh.decision import AccessModel
 from keymint_ros2_zenoh.transports import zenoh_1
 
-from keymint.api import Enclave, Environment, Tier, Verdict
+from keymint.api import Environment, InstalledEnclave, Tier, Verdict
 from keymint.api.graph import Edge, Object
 from keymint.errors import KeymintError
 from tests.plugins.keymint_ros2_zenoh.install_spaces import InstallSpace, key
@@ -19,7 +19,7 @@ from tests.plugins.keymint_ros2_zenoh.install_spaces import InstallSpace, key
 CHATTER = Object("ros_topic", "/chatter")
 
 
-def label(enclaves: list[Enclave], *edges: Edge, days: float = 0) -> list[Verdict]:
+def label(enclaves: list[InstalledEnclave], *edges: Edge, days: float = 0) -> list[Verdict]:
     environment = Environment(datetime.now(UTC) + timedelta(days=days), Path("/nowhere"))
     found = list(zenoh_1.open(environment).label(enclaves, iter(edges), Tier.DECISION))
     assert [edge for edge, _ in found] == list(edges)
