@@ -56,16 +56,20 @@ _JUDGEMENTS = """
 authorities-differ authority-differs authority-drift authority-expired authority-expires authority-key-mismatch
 authority-key-shared authority-shared bundle-authority bundle-outdated bundle-unexpected certificate-drift
 certificate-expired certificate-expires certificate-outlives-authority certificate-revoked certificate-subject
-certificate-unregistered document-differs document-hazard enclave-ignored enclave-orphaned file-changed file-link
-file-mode file-owner file-replaced file-unexpected folder-unexpected governance-weaker grant-count grant-default
-grant-expired grant-expires grant-outlives-authority grant-subject key-exposed key-mismatch key-of-authority key-plain
-key-replaced key-shared key-uri key-was-exposed names-confused pem-altered revocation-list-expired
-revocation-list-living revocation-list-outdated rights-outlive smime-authority-expired zenoh-signature
-adopt-authorities adopt-doubled adopt-file-missing adopt-grants adopt-key-exposed adopt-key-mismatch adopt-key-shared
-adopt-policy adopt-revoked adopt-token
+certificate-unregistered document-differs document-hazard enclave-ignored enclave-orphaned file-link file-mode
+file-owner file-replaced file-unexpected folder-unexpected governance-weaker grant-count grant-default grant-expired
+grant-expires grant-outlives-authority grant-subject key-exposed key-mismatch key-of-authority key-plain key-replaced
+key-shared key-uri key-was-exposed names-confused pem-altered revocation-list-expired revocation-list-living
+revocation-list-outdated rights-outlive smime-authority-expired zenoh-signature adopt-authorities adopt-doubled
+adopt-file-missing adopt-grants adopt-key-exposed adopt-key-mismatch adopt-key-shared adopt-policy adopt-revoked
+adopt-token
 """
 JUDGEMENTS = frozenset(_JUDGEMENTS.split())
-"""Codes of findings about the content or the state of installed files; not those that readers of sources make, too."""
+"""Codes of findings about the content or the state of installed files.
+
+Not among them are the codes that readers of sources use, too, and ``file-changed``, which a verb says of any file that
+changes while it is read.
+"""
 _PREPOSITIONS = """
 about above after against at before below beside between by for from in into of off on over per since than through to
 under until up upon via with within without
@@ -73,11 +77,25 @@ under until up upon via with within without
 PREPOSITIONS = frozenset(_PREPOSITIONS.split())
 _IRREGULAR = """
 begun bound bought broken brought built chosen cut done drawn driven found given gone grown held kept known left lent
-lost made meant met put read said seen sent set shown shut sold spent split spoken stood taken taught thought told
+lost made meant met put said seen sent set shown shut sold spent split spoken stood taken taught thought told
 understood won worn written
 """
 IRREGULAR = frozenset(_IRREGULAR.split())
-NOT_PARTICIPLES = {"embed", "feed", "need", "red", "seed", "speed", "string", "ring", "thing", "spring", "king"}
+"""Not ``read``: as the name of a function it is the imperative."""
+NOT_PARTICIPLES = {
+    "embed",
+    "feed",
+    "need",
+    "red",
+    "seed",
+    "speed",
+    "string",
+    "ring",
+    "thing",
+    "spring",
+    "king",
+    "setting",
+}
 
 
 @dataclass(frozen=True)

@@ -298,7 +298,8 @@ class ProofStage(PackageStage):
         """Return the digest of everything that a proof depends on, except the policy."""
         shared = (documents_digest(self._session, each) for each in build_types)
         files = (part for item in sorted(digests.items()) for part in item)
-        of_vendors = filter(None, [self._session.vendors_of])
+        # What holds across subjects is the same for all vendors.
+        of_vendors = [] if package_build_types.shared_type(name) else filter(None, [self._session.vendors_of])
         built = package_build_types.inputs_digest(self._session, name)
         return digest(built, self._chains_digest, __version__, *of_vendors, *shared, "", *files)
 
