@@ -33,7 +33,7 @@ from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.life.workspace_register import complete_register, register_change
 from keymint.names import package_name
-from keymint.pki import certificates, key_files, public_keys
+from keymint.pki import certificates, keys
 from keymint.stages.create import marker_last, plan_init, refuse_unsupported
 from keymint.stages.pipeline import INSTALL, Request, conduct
 from keymint.stages.work import Crew, InstallRequest, Work
@@ -137,7 +137,7 @@ def _sources(session: Session, adoption: Adoption) -> Plan:
             documents=enclave.documents,
         )
         certificate = certificates.load(enclave.certificate)
-        public = b"" if enclave.key else public_keys.to_pem(certificates.public_key(certificate))
+        public = b"" if enclave.key else keys.public_to_pem(certificates.public_key(certificate))
         decided = Issuance(
             public_key=public,
             certificate=certificates.to_pem(certificate),
@@ -203,7 +203,7 @@ def _leads_to(path: str, link: str) -> str:
 def _is_secret(file: KeystoreFile) -> bool:
     """Tell whether a file has a private key, or may have one in a form that is not read: its owner hides it."""
     is_hidden = not file.mode & stat.S_IROTH
-    return key_files.has_any(file.content) or (is_hidden and not _is_text(file.content))
+    return keys.has_private_key(file.content) or (is_hidden and not _is_text(file.content))
 
 
 def _is_text(content: bytes) -> bool:

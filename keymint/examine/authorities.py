@@ -29,7 +29,7 @@ from keymint.host.git import GIT_MISSING, run_git
 from keymint.life import terms
 from keymint.life.package_issuance import place_of
 from keymint.names import subject_of
-from keymint.pki import certificates, key_files, keys
+from keymint.pki import certificates, keys
 from keymint.workspace.installed_enclaves import installed_certificate
 from keymint.workspace.session import Inputs, Session
 from keymint.workspace.stored_keys import key_defects
@@ -208,7 +208,7 @@ def _finding(
 ) -> Iterator[Diagnostic]:
     """Yield one finding for all private keys of a space that are listed."""
     exposed = [path for path in found if path in listed or any(folder in listed for folder in path.parents)]
-    exposed = [path for path in exposed if not key_files.is_public(inputs.tree.try_read(path) or b"")]
+    exposed = [path for path in exposed if not keys.is_all_public(inputs.tree.try_read(path) or b"")]
     if exposed:
         more = f", like {len(exposed) - 1} more" if len(exposed) > 1 else ""
         message = f"is a private key {what}{more}"
@@ -237,6 +237,6 @@ def _is_secret(inputs: Inputs, path: Path) -> bool:
         return path.name != GITIGNORE
     status = inputs.tree.status(path)
     try:
-        return status is not None and status.st_size <= _MOST and key_files.has_any(inputs.tree.read(path) or b"")
+        return status is not None and status.st_size <= _MOST and keys.has_private_key(inputs.tree.read(path) or b"")
     except KeymintError:
         return False

@@ -43,7 +43,7 @@ from keymint.executors import Pool
 from keymint.life.examine import Keyring, orphan_findings, shared_keys
 from keymint.life.workspace_register import withdrawn
 from keymint.names import subject_of
-from keymint.pki import key_files, keys
+from keymint.pki import keys
 from keymint.stages import identities
 from keymint.stages.documents import built_documents
 from keymint.stages.proof.trust_anchors import unvouched
@@ -240,7 +240,7 @@ def _on_disk(session: Session, name: str, files: Mapping[str, bytes]) -> Iterato
     yield from modes(session, folder, 0o700, subject)
     for file in installed_enclaves.files_in(session, name):
         path = f"{folder}/{file}"
-        is_secret = file in secret or key_files.has_any(files.get(file, b""))
+        is_secret = file in secret or keys.has_private_key(files.get(file, b""))
         is_other = stamp is not None and file not in stamp.outputs
         for each in modes(session, path, file_mode(secret=is_secret), subject):
             if not is_other or each.code != "file-mode" or each.severity is Severity.ERROR:  # hidden ones may stay so

@@ -21,7 +21,7 @@ from keymint.api import Artifact, BuildOptions, SharedInspection
 from keymint.errors import KeymintError
 from keymint.life.workspace_register import withdrawn
 from keymint.names import ROOT
-from keymint.pki import key_files
+from keymint.pki import keys
 from keymint.stages import environment_scripts
 from keymint.stages.documents import build_shared, enclaves_of, installed_shared
 from keymint.stages.proof.trust_anchors import shared_anchors
@@ -144,7 +144,7 @@ def _private(inputs: Inputs, entries: list[_Entry]) -> Iterator[Diagnostic]:
             yield from modes(inputs, path, 0o700, "")
         elif path.endswith(_PEM):
             found = [*modes(inputs, path, 0o600, ""), *linked_twice(inputs, path, "")]
-            if found and not key_files.is_public(inputs.tree.try_read(path) or b""):
+            if found and not keys.is_all_public(inputs.tree.try_read(path) or b""):
                 yield from found
 
 

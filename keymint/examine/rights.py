@@ -29,7 +29,7 @@ from keymint.life.workspace_register import has_register, issuer_of, register_of
 from keymint.names import ROOT, package_name, subject_of
 from keymint.pki import certificates, distinguished_names, smime
 from keymint.pki.distinguished_names import to_text
-from keymint.pki.mime import SignedDocument
+from keymint.pki.smime import SignedDocument
 from keymint.robots import bundle
 from keymint.stages.proof.proof_results import EnclaveProof, ProofEffort, ProofResults, dump_claims, load_claims
 from keymint.stages.proof.prove import STAGE, policy_digest
@@ -248,7 +248,7 @@ def _signed(content: bytes, signers: Iterable[bytes], *, verify: bool) -> Signed
     """Return a signed document, or None if it has not exactly one reading, or none of the signers signed it."""
     for signer in signers:
         try:
-            return smime.read(content, signer) if verify else smime.unverified_document(content)
+            return smime.read(content, signer) if verify else smime.unwrap(content)
         except KeymintError:
             continue
     return None

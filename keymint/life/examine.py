@@ -22,7 +22,7 @@ from keymint.life.package_issuance import place_of
 from keymint.life.terms import iso_time
 from keymint.life.workspace_register import register_of
 from keymint.names import subject_of
-from keymint.pki import certificates, keys, public_keys, smime
+from keymint.pki import certificates, keys, smime
 from keymint.pki.distinguished_names import to_text
 from keymint.workspace.installed_enclaves import (
     CERTIFICATE,
@@ -205,7 +205,7 @@ class Keyring:
             KeymintError: it is of another kind, was revoked, or is an authority's, another package's, or one that an
                 earlier request brought for another package.
         """
-        name, session, key = package.name, self._session, public_keys.from_pem(public_key, where)
+        name, session, key = package.name, self._session, keys.public_from_pem(public_key, where)
         spec, fingerprint = package.identity.key, keys.fingerprint(key)
         if not keys.fits(key, spec):
             message = f"is not for {keys.key_description(spec)}, which {package.identity.origin} asks for"

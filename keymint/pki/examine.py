@@ -19,7 +19,7 @@ from comarmor.errors import Defects, Diagnostic, Origin
 from keymint.api import TrustAnchor, TrustAnchors, ValidityTerm
 from keymint.errors import KeymintError
 from keymint.names import name_of
-from keymint.pki import certificates, distinguished_names, extensions, keys, public_keys
+from keymint.pki import certificates, distinguished_names, extensions, keys
 from keymint.pki.distinguished_names import to_text
 
 CERTIFICATE, KEY = "cert.pem", "key.pem"
@@ -125,7 +125,7 @@ class IdentityCheck:
             certificate: the identity certificate.
             public_key: the key that it must be for (PEM), if the private key is elsewhere; empty if it may be for any.
         """
-        if public_key and public_keys.from_pem(public_key) != certificate.public_key():
+        if public_key and keys.public_from_pem(public_key) != certificate.public_key():
             yield self._error("key-mismatch", CERTIFICATE, "is for another public key than the package has")
         own, unread = self.own_key
         yield from unread

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Private keys: minted, stored as PKCS #8 PEM, read back, and compared with certificates.
+"""Keys: private ones minted, stored as PKCS #8 PEM, read back, and compared with certificates; public ones in PEM.
+
+The private keys of a file are also recognised in whatever form other tools write them: PEM, DER, or PKCS #12. A file in
+which a key is missed may end where keys must not be; so what cannot be read counts as a key as well.
 
 No error here contains key material, or a message of the library that could contain it.
 """
@@ -10,7 +13,8 @@ import base64
 import binascii
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from types import MappingProxyType
 from typing import cast
 
@@ -48,6 +52,20 @@ _MOST = 1 << 16
 _KNOWN: dict[bytes, tuple[bytes, bool]] = {}
 """Public keys in DER, and whether :func:`to_pem` writes the file so, by the digest of the file of the private key."""
 _PEM = lazy_regex(rb"-----BEGIN ([A-Z0-9 ]+)-----\n((?:[A-Za-z0-9+/]{1,64}={0,2}\n)+)-----END \1-----\n")
+_MARKS = (b"PRIVATE KEY-----", b"-----BEGIN PKCS12-----")
+_BLOCK = lazy_regex(rb"-----BEGIN ([A-Z0-9 ]*PRIVATE KEY|PKCS12)-----.*?-----END \1-----", re.DOTALL)
+_LABEL = lazy_regex(rb"-----BEGIN ([^-\r\n]*)-----")
+_PUBLIC = frozenset((b"CERTIFICATE", b"CERTIFICATE REQUEST", b"NEW CERTIFICATE REQUEST", b"X509 CRL", b"PUBLIC KEY"))
+"""Labels of PEM for what is not secret (RFC 7468)."""
+_LENGTH = rb"(?:[\x00-\x80]|\x81.|\x82..|\x83...|\x84....)"
+_PKCS12 = lazy_regex(
+    rb"\x30" + _LENGTH + rb"\x02\x01\x03\x30" + _LENGTH + rb"\x06\x09\x2a\x86\x48\x86\xf7\x0d\x01\x07[\x01\x02]",
+    re.DOTALL,
+)
+"""How a PFX begins (RFC 7292, section 4): version 3, and content that is data or signed data; BER, as some write it."""
+_SEQUENCE = b"\x30"
+_CLOSED = frozenset((b"PKCS12", b"OPENSSH PRIVATE KEY"))
+"""Labels of PEM whose content is not looked into."""
 
 
 def curve_name(text: str, where: Origin | None = None) -> str:
@@ -238,3 +256,99 @@ def _curve(spec: KeySpec, where: Origin | None) -> ec.EllipticCurve | None:
             code="key-type-unknown",
         )
     return None
+
+
+# -- public keys -----------------------------------------------------------------------------------------------------
+
+
+def public_from_pem(pem: bytes, where: Origin | None = None) -> PublicKey:
+    """Return the public key of a PEM text, SubjectPublicKeyInfo (RFC 7468, 13): its private key is elsewhere.
+
+    Args:
+        pem: the text, with one public key.
+        where: its place, for messages.
+
+    Raises:
+        KeymintError: not a public key, or one that is neither EC nor RSA.
+    """
+    try:
+        key = serialization.load_pem_public_key(pem)
+    except (ValueError, TypeError, UnsupportedAlgorithm):
+        key = None
+    if not isinstance(key, PublicKey):
+        raise KeymintError(
+            "not an EC or RSA public key in PEM (SubjectPublicKeyInfo), or a damaged one",
+            where=where,
+            help="restore it from version control, or sign a new request of the machine that has the private key",
+            code="public-key-invalid",
+        )
+    return key
+
+
+def public_to_pem(key: PublicKey) -> bytes:
+    """Return a public key as PEM; equal keys give equal bytes."""
+    return key.public_bytes(serialization.Encoding.PEM, serialization.PublicFormat.SubjectPublicKeyInfo)
+
+
+# -- the files of other tools -----------------------------------------------------------------------------------------
+
+
+def has_private_key(content: bytes) -> bool:
+    """Tell whether a file has a private key of any kind, or may have one."""
+    return any(mark in content for mark in _MARKS) or any(True for _ in _each(content))
+
+
+def is_all_public(content: bytes) -> bool:
+    """Tell whether a file only has what everybody may read, in PEM: certificates, requests, lists, public keys."""
+    labels = set(_LABEL.findall(content))
+    return bool(labels) and labels <= _PUBLIC
+
+
+def private_keys(content: bytes) -> tuple[tuple[PublicKey, ...], bool]:
+    """Return the private keys of a file; a damaged one has none.
+
+    Returns:
+        The public keys of those that are EC or RSA keys, and whether there are others that cannot be read: they are
+        encrypted, or in a PKCS #12 or OpenSSH file.
+    """
+    found = tuple(_each(content))
+    return tuple(each.public_key() for each in found if isinstance(each, PrivateKey)), None in found
+
+
+def pem_of(content: bytes, public: PublicKey) -> bytes:
+    """Return one of the private keys of a file in PEM: the file itself if Keymint reads that key from it.
+
+    Args:
+        content: the file.
+        public: the public key of the private key, one of those that :func:`private_keys` returns.
+    """
+    with suppress(KeymintError):
+        if public_of(content) == public:
+            return content
+    found = (each for each in _each(content) if isinstance(each, PrivateKey))
+    return next(to_pem(each) for each in found if each.public_key() == public)
+
+
+def _each(content: bytes) -> Iterator[object | None]:
+    """Yield the private keys of a file; None for one that cannot be read."""
+    if any(mark in content for mark in _MARKS):
+        for block in _BLOCK.finditer(content):
+            if block[1] in _CLOSED:
+                yield None
+            else:
+                yield from _loaded(block[0], serialization.load_pem_private_key)
+    elif _PKCS12.match(content):
+        yield None
+    elif content.startswith(_SEQUENCE):
+        with suppress(ValueError):
+            yield from _loaded(der.first_element(content), serialization.load_der_private_key)
+
+
+def _loaded(encoded: bytes, load: Callable[[bytes, None], object]) -> Iterator[object | None]:
+    try:
+        yield load(encoded, None)
+    except (TypeError, UnsupportedAlgorithm):  # the library has a TypeError for a key that is encrypted
+        yield None
+    except ValueError:
+        if b"ENCRYPTED" in encoded:
+            yield None

@@ -23,7 +23,7 @@ from comarmor.text import quoted
 from comarmor.values import dataclass
 from keymint.errors import KeymintError
 from keymint.names import package_name, subject_of
-from keymint.pki import certificates, cms, der, keys, public_keys
+from keymint.pki import certificates, cms, der, keys
 
 MAX_BYTES = 1 << 16
 """Largest request in bytes; one with an RSA key of 16,384 bits and a signature by such a key has about 15,000."""
@@ -111,7 +111,7 @@ def read(content: bytes, where: Origin) -> CertificationRequest:
     name, public = _name(names[0], where), _usable(key, where)
     if not signed:
         raise _unsigned("is not signed by the key that it asks a certificate for", where)
-    pem = public_keys.to_pem(public)
+    pem = keys.public_to_pem(public)
     return CertificationRequest(name, pem, keys.fingerprint(public), nonce, _signer(signature, block, where))
 
 

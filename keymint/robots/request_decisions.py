@@ -18,7 +18,7 @@ from keymint.life.examine import Keyring
 from keymint.life.package_issuance import place_of, plan_issuance
 from keymint.life.workspace_register import register_of
 from keymint.names import subject_of
-from keymint.pki import keys, public_keys
+from keymint.pki import keys
 from keymint.pki.distinguished_names import common_name
 from keymint.robots.certification_request import CertificationRequest
 from keymint.store.changes import Plan
@@ -128,7 +128,7 @@ def _vouches(session: Session, name: str, request: CertificationRequest) -> bool
 def current_fingerprint(session: Session, name: str) -> str:
     """Return the fingerprint of the key that a package has, wherever it is; empty if it has none yet."""
     if public := session.issuance(name).public_key:
-        return keys.fingerprint(public_keys.from_pem(public, place_of(session, name)))
+        return keys.fingerprint(keys.public_from_pem(public, place_of(session, name)))
     return known_fingerprint(session, name)
 
 

@@ -22,7 +22,7 @@ from keymint.life.register import SUPERSEDED, IssuedCertificate, Register
 from keymint.life.revocation_lists_in_force import enclave_lists
 from keymint.life.workspace_register import entry_of, issuer_of, register_of
 from keymint.names import subject_of
-from keymint.pki import certificates, keys, public_keys
+from keymint.pki import certificates, keys
 from keymint.store.changes import FolderChange, secret_file
 from keymint.view.stamps import digest, digest_files
 from keymint.workspace.installed_enclaves import CERTIFICATE, KEY
@@ -99,7 +99,7 @@ def public_key(session: Session, package: Package) -> keys.PublicKey:
             is not known here.
     """
     if package.issuance.public_key:
-        return public_keys.from_pem(package.issuance.public_key, place_of(session, package.name))
+        return keys.public_from_pem(package.issuance.public_key, place_of(session, package.name))
     if is_awaited(package):
         raise KeymintError.of([replace(unknown_key(package), severity=Severity.ERROR)])
     pem, place = private_key(session, package), key_place(session, package.name)

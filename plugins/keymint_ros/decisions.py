@@ -69,9 +69,9 @@ def _lines(data: object, fields: Sequence[_Field], indentation: str) -> Iterator
 
 def _public_key(pem: bytes, where: Origin | None = None) -> bytes:
     """Return a public key in the one form of PEM that Keymint writes."""
-    from keymint.pki import public_keys  # noqa: PLC0415 - most packages have none, and it takes time to import
+    from keymint.pki import keys  # noqa: PLC0415 - most packages have none, and it takes time to import
 
-    return public_keys.to_pem(public_keys.from_pem(pem, where))
+    return keys.public_to_pem(keys.public_from_pem(pem, where))
 
 
 def _rollover(element: etree._Element) -> Rollover:

@@ -18,7 +18,7 @@ from comarmor.errors import Diagnostic
 from comarmor.text import counted
 from keymint.api import FoundAuthority, FoundEnclave, FoundKeystore, KeystoreFiles, TrustAnchor
 from keymint.errors import KeymintError
-from keymint.pki import certificates, extensions, foreign_authorities, key_files, keys, revocation_lists
+from keymint.pki import certificates, extensions, foreign_authorities, keys, revocation_lists
 from keymint.pki.distinguished_names import to_text
 from keymint.pki.revocation_lists import RevocationList
 from keymint_ros2_dds.enclave_layout import (
@@ -225,7 +225,7 @@ def _authority(contents: Contents, path: str, roles: tuple[str, ...]) -> tuple[F
         "path_length": getattr(extensions.value(certificate, x509.BasicConstraints), "path_length", None),
         "key_file": str(contents.place(key_paths[0])) if key_paths else None,
     }
-    key = key_files.pem_of(contents.read(key_paths[0]), public) if key_paths else b""
+    key = keys.pem_of(contents.read(key_paths[0]), public) if key_paths else b""
     exposed = any(is_exposed(contents, each) for each in key_paths)
     return FoundAuthority(name, roles, content, path, key, tuple(key_paths), facts, exposed), findings
 

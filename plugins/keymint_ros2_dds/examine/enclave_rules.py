@@ -19,7 +19,7 @@ from keymint.api import EnclaveFiles, TrustAnchors
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, revocation_lists, smime
 from keymint.pki.examine import IdentityCheck, When, anchor_defects, utc_time
-from keymint.pki.mime import SignedDocument
+from keymint.pki.smime import SignedDocument
 from keymint_ros2_dds import enclave_layout as roles
 from keymint_ros2_dds import subject_names, vendor_limits
 from keymint_ros2_dds.decision.semantics import STANDARD

@@ -18,7 +18,7 @@ from comarmor.values import dataclass
 from keymint.api import KeystoreFile, KeystoreFiles
 from keymint.errors import KeymintError
 from keymint.names import package_name
-from keymint.pki import certificates, extensions, key_files, keys, smime
+from keymint.pki import certificates, extensions, keys, smime
 from keymint.pki.distinguished_names import attributes
 from keymint_ros2_dds import subject_names
 from keymint_ros2_dds.enclave_layout import (
@@ -56,7 +56,7 @@ class Contents:
         keystore: the keystore.
         certificates: the first certificate of each file that begins with one.
         keys: paths of the files with a private key that can be read, by the fingerprint of the key; PEM first.
-        sealed: paths of the files with a private key that cannot be read (:attr:`PrivateKeys.sealed`).
+        sealed: paths of the files with a private key that cannot be read (:func:`keymint.pki.keys.private_keys`).
         permissions: unverified permissions documents by path of the signed file.
         governances: paths of signed governance documents.
         revocation_lists: paths of revocation lists.
@@ -114,10 +114,10 @@ def contents(keystore: KeystoreFiles) -> Contents:
                 permissions[path] = document
             elif document is not None:
                 governances.append(path)
-        elif key_files.has_any(file.content):
-            own = key_files.private_keys(file.content)
-            sealed += [path] if own.sealed else []
-            for public in own.public:
+        elif keys.has_private_key(file.content):
+            owned, is_sealed = keys.private_keys(file.content)
+            sealed += [path] if is_sealed else []
+            for public in owned:
                 private.setdefault(keys.fingerprint(public), []).append(path)
         elif _REVOCATIONS in file.content:
             revocations.append(path)
@@ -234,7 +234,7 @@ def _by_content(contents: Contents) -> Iterator[EnclavePlace]:
 def _is_read(contents: Contents, path: str, certificate: x509.Certificate) -> bool:
     """Tell whether participants read the key of a certificate from a file with it: in PEM, as the first one."""
     content = contents.read(path)
-    return key_files.pem_of(content, certificates.public_key(certificate)) == content
+    return keys.pem_of(content, certificates.public_key(certificate)) == content
 
 
 def _issued(certificate: x509.Certificate, authority: x509.Certificate) -> bool:

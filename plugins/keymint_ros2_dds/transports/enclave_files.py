@@ -14,7 +14,7 @@ from comarmor.errors import Origin
 from keymint.api import Environment, InstalledEnclave
 from keymint.api.transports import installed_file
 from keymint.errors import KeymintError
-from keymint.pki import certificates, mime, smime
+from keymint.pki import certificates, smime
 from keymint_ros2_dds import enclave_layout as layout
 from keymint_ros2_dds import subject_names
 from keymint_ros2_dds.lowering.name_mapping import DDS_TOPICS
@@ -162,7 +162,7 @@ def raise_if_unread(error: KeymintError, folder: Path) -> None:
         KeymintError: with the path of the file.
     """
     diagnostic = error.diagnostics[0]
-    if diagnostic.code != mime.UNREAD or diagnostic.where is None:
+    if diagnostic.code != smime.UNREAD or diagnostic.where is None:
         return
     place = Origin(str(folder / diagnostic.where.file), diagnostic.where.line)
     message = f"{diagnostic.message}; so it is not known what vendors permit here"

@@ -17,14 +17,14 @@ from keymint_ros import RosPackageType, package_type
 from keymint.api import Issuance
 from keymint.errors import KeymintError
 from keymint.life.package_issuance import plan_issuance
-from keymint.pki import certificates, keys, public_keys
+from keymint.pki import certificates, keys
 from keymint.store.changes import Action
 from tests.conftest import NOW, snapshot
 from tests.keymint.stages.sessions import session_of
 
 RENEWED = datetime.fromtimestamp(NOW, UTC).replace(hour=0, minute=0, second=0) + timedelta(days=100)
 ROBOT = ec.derive_private_key(11, ec.SECP256R1())
-ELSEWHERE = Issuance(public_key=public_keys.to_pem(ROBOT.public_key()))
+ELSEWHERE = Issuance(public_key=keys.public_to_pem(ROBOT.public_key()))
 
 
 def decide(ws: Path, name: str, issuance: Issuance) -> None:
@@ -177,7 +177,7 @@ class TestKeyElsewhere:
         decide(
             robot,
             "talker",
-            Issuance(public_key=public_keys.to_pem(ec.generate_private_key(ec.SECP256R1()).public_key())),
+            Issuance(public_key=keys.public_to_pem(ec.generate_private_key(ec.SECP256R1()).public_key())),
         )
         for verb in ("check", "prove"):
             outcome = keymint(verb, "--json", cwd=robot)
@@ -187,7 +187,7 @@ class TestKeyElsewhere:
     @pytest.mark.parametrize("owner", ["private/permissions_ca.key.pem", "private/identities/robot1/listener/key.pem"])
     def test_the_key_of_another_is_refused(self, keymint: Callable, ws: Path, owner: str) -> None:
         key = keys.from_pem((ws / owner).read_bytes())
-        decide(ws, "talker", Issuance(public_key=public_keys.to_pem(key.public_key())))
+        decide(ws, "talker", Issuance(public_key=keys.public_to_pem(key.public_key())))
         assert keymint("build", cwd=ws).code == 0
         before = _installed(ws)
         outcome = keymint("install", "--json", cwd=ws)
@@ -216,7 +216,7 @@ class TestKeyElsewhere:
         router = (ws / "install/zenoh/router.json5").read_text()
         assert sorted(re.findall(r"cert_common_names.*?(/[\w./]+)", router)) == ["/robot1/listener", "/talker.1"]
         decide(
-            ws, "talker", Issuance(1, None, public_keys.to_pem(ec.generate_private_key(ec.SECP256R1()).public_key()))
+            ws, "talker", Issuance(1, None, keys.public_to_pem(ec.generate_private_key(ec.SECP256R1()).public_key()))
         )
         for verb in ("check", "prove"):
             assert "key-mismatch" in keymint(verb, "--json", cwd=ws).codes()

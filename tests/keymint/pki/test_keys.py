@@ -2,6 +2,8 @@
 from __future__ import annotations
 
 import pytest
+from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric import ec, ed25519, rsa
 
 from comarmor.errors import Origin
 from keymint.api import KeySpec
@@ -149,3 +151,38 @@ def test_the_public_key_of_a_file_is_that_of_its_private_key_each_time(spec: Key
             keys.public_of(encrypted, b"wrong")
         with pytest.raises(KeymintError, match="not a private key"):
             keys.public_of(plain.replace(b"M", b"!", 1))
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        ec.derive_private_key(5, ec.SECP256R1()),
+        ec.derive_private_key(5, ec.SECP384R1()),
+        rsa.generate_private_key(65537, 2048),
+    ],
+)
+def test_a_public_key_that_is_written_is_read_back(key: keys.PrivateKey) -> None:
+    pem = keys.public_to_pem(key.public_key())
+    assert pem.startswith(b"-----BEGIN PUBLIC KEY-----\n")
+    assert keys.public_from_pem(pem) == key.public_key()
+
+
+@pytest.mark.parametrize(
+    "pem",
+    [
+        b"",
+        b"\xff",
+        ed25519.Ed25519PrivateKey.generate()
+        .public_key()
+        .public_bytes(serialization.Encoding.PEM, serialization.PublicFormat.SubjectPublicKeyInfo),
+        ec.derive_private_key(5, ec.SECP256R1()).private_bytes(
+            serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+        ),
+    ],
+    ids=["nothing", "no text", "another algorithm", "a private key"],
+)
+def test_what_is_no_public_key_is_refused_at_its_place(pem: bytes) -> None:
+    with pytest.raises(KeymintError, match="not an EC or RSA public key") as error:
+        keys.public_from_pem(pem, Origin("issuance.xml", 4))
+    assert str(error.value.diagnostics[0]).startswith("issuance.xml:4")
+    assert error.value.diagnostics[0].code == "public-key-invalid"

@@ -15,7 +15,7 @@ from comarmor.errors import Origin
 from keymint import api
 from keymint.api import KeySpec
 from keymint.errors import KeymintError
-from keymint.pki import certificates, keys, mime, smime
+from keymint.pki import certificates, keys, smime
 
 CONTENT = b'<?xml version="1.0"?>\n<dds>\n  <topic>rt/chatter</topic>\n\n  trailing  \n</dds>\n'
 HERE = Origin("install/enclaves/talker/permissions.p7s")
@@ -115,9 +115,9 @@ def test_added_and_missing_bytes_are_found(authority: certificates.Issuer) -> No
 
 @given(st.binary(min_size=1, max_size=200))
 def test_junk_in_the_frame_is_an_error_of_ours(junk: bytes) -> None:
-    assert smime.signed_content(mime.wrap(b"content\n", junk)) == b"content\n"
+    assert smime.signed_content(smime.wrap(b"content\n", junk)) == b"content\n"
     with pytest.raises(KeymintError):
-        smime.verify(mime.wrap(b"content\n", junk), _pem_of_nobody())
+        smime.verify(smime.wrap(b"content\n", junk), _pem_of_nobody())
     with pytest.raises(KeymintError):
         smime.signed_content(junk)
 
@@ -131,13 +131,13 @@ def _pem_of_nobody() -> bytes:
 def test_a_signature_cut_or_spliced_anywhere_is_refused(
     authority: certificates.Issuer, cut: tuple[int, int], patch: bytes
 ) -> None:
-    document = mime.unwrap(_sign(authority))
+    document = smime.unwrap(_sign(authority))
     content, signature = document.content, document.signature
     spliced = signature[: min(cut)] + patch + signature[max(cut) :]
     if spliced != signature:
         with pytest.raises(KeymintError):
-            smime.verify(mime.wrap(content, spliced), _pem(authority))
-        assert not smime.is_current(mime.wrap(content, spliced), content, authority.certificate)
+            smime.verify(smime.wrap(content, spliced), _pem(authority))
+        assert not smime.is_current(smime.wrap(content, spliced), content, authority.certificate)
 
 
 def test_another_signer_is_found(authority: certificates.Issuer, other: certificates.Issuer) -> None:
@@ -181,7 +181,7 @@ def test_an_authority_must_be_allowed_and_valid(spec, authority: certificates.Is
 
 
 def test_signatures_of_other_forms_are_refused(authority: certificates.Issuer) -> None:
-    text = mime.canonical_text(CONTENT)
+    text = smime.canonical_text(CONTENT)
     options = pkcs7.PKCS7Options
     forms = [
         (hashes.SHA512(), [options.DetachedSignature, options.Binary]),
@@ -195,7 +195,7 @@ def test_signatures_of_other_forms_are_refused(authority: certificates.Issuer) -
         )
         raw = builder.sign(serialization.Encoding.DER, chosen)
         with pytest.raises(KeymintError):
-            smime.verify(mime.wrap(CONTENT, raw), _pem(authority))
+            smime.verify(smime.wrap(CONTENT, raw), _pem(authority))
 
 
 def test_of_the_same_content_everything_but_the_signature_is_the_same(authority: certificates.Issuer) -> None:

@@ -14,7 +14,7 @@ from keymint_ros import package_type
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Issuance
 from keymint.errors import KeymintError
-from keymint.pki import public_keys
+from keymint.pki import keys
 from keymint.stages.package_status import packages_of, refuse_new_authorities, renewable_packages
 from keymint.store.changes import Action, File, FolderChange, Plan, Step
 from tests.keymint.stages.sessions import session_of
@@ -43,7 +43,7 @@ def test_a_barred_key_needs_a_new_one(keymint: Callable, ws: Path) -> None:
 
 
 def test_a_new_key_elsewhere_needs_a_request(ws: Path) -> None:
-    key = public_keys.to_pem(ec.derive_private_key(11, ec.SECP256R1()).public_key())
+    key = keys.public_to_pem(ec.derive_private_key(11, ec.SECP256R1()).public_key())
     for file, content in package_type.with_issuance(Issuance(public_key=key)).items():
         (ws / "src/talker" / file).write_bytes(content)
     assert codes(ws, rekey=True) == (("robot1/listener",), ["request-needed"], [])

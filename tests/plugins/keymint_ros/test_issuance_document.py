@@ -17,12 +17,12 @@ from keymint_ros2_zenoh import identities
 
 from keymint.api import Issuance, Package
 from keymint.errors import KeymintError
-from keymint.pki import distinguished_names, keys, public_keys
+from keymint.pki import distinguished_names, keys
 
 from .workspaces import REQUEST, Workspace, diagnostic_of
 
 DATE = datetime(2027, 3, 1, tzinfo=UTC)
-PUBLIC_KEY = public_keys.to_pem(ec.derive_private_key(7, ec.SECP256R1()).public_key())
+PUBLIC_KEY = keys.public_to_pem(ec.derive_private_key(7, ec.SECP256R1()).public_key())
 GENERATIONS = (0, 1, 2, 9, 10, 11, 999_999_999)
 _FILE = "src/robot1/talker/issuance.xml"
 

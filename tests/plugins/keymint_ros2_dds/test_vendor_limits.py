@@ -15,7 +15,7 @@ from benchmarks import navigation
 from comarmor.errors import Severity
 from keymint.api import KeySpec
 from keymint.errors import KeymintError
-from keymint.pki import mime
+from keymint.pki import smime
 from tests.plugins.keymint_ros2_dds.builds import CHATTER, LENIENT, STRICT, build, codes
 from tests.plugins.keymint_ros2_dds.packages import package, rule
 
@@ -36,7 +36,7 @@ def test_the_policy_of_a_navigation_stack_fits(keymint: Callable, policy: Path, 
     signed, content = ((enclave / name).read_bytes() for name in ("permissions.p7s", "permissions.xml"))
     assert len(set(re.findall(b"<topic>(.*)</topic>", content))) > 600
     assert len(signed) < 60_000
-    assert mime.unwrap(signed).content == content, "what is signed is what lies beside it"
+    assert smime.unwrap(signed).content == content, "what is signed is what lies beside it"
     assert content.count(b"\n") > content.count(b"<topic>"), "a line for each"
     (said,) = (found for found in outcome.document["diagnostics"] if found["code"] == "size-permissions")
     (size,) = re.findall(r"about ([\d,]+) bytes", said["message"])

@@ -15,7 +15,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from keymint_ros import package_type
 
 from keymint.api import Issuance
-from keymint.pki import certificates, public_keys, revocation_lists
+from keymint.pki import certificates, keys, revocation_lists
 from tests.conftest import NOW, Outcome, snapshot
 from tests.keymint.stages.keystores import AUTHORITY_KEYS, IDENTITY_KEYS, content, public_key
 
@@ -230,7 +230,7 @@ class TestKeys:
     def robot(self, keymint: Callable, ws: Path) -> Path:
         """A workspace where the key of /talker is on the robot."""
         key = ec.derive_private_key(11, ec.SECP256R1()).public_key()
-        for file, document in package_type.with_issuance(Issuance(public_key=public_keys.to_pem(key))).items():
+        for file, document in package_type.with_issuance(Issuance(public_key=keys.public_to_pem(key))).items():
             (ws / "src/talker" / file).write_bytes(document)
         (ws / IDENTITY_KEYS[0]).unlink()
         install(keymint, ws)

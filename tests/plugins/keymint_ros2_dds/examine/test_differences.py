@@ -13,7 +13,7 @@ from keymint_ros2_dds.enclave_proof import prove
 
 from keymint.api import EnclaveFiles, KeySpec, Proof, ProofTask
 from keymint.errors import KeymintError
-from keymint.pki import certificates, keys, public_keys
+from keymint.pki import certificates, keys
 from tests.plugins.keymint_ros2_dds.enclaves import NOW, anchors, authority, installed, revoking
 from tests.plugins.keymint_ros2_dds.packages import package, rule
 
@@ -87,7 +87,7 @@ def test_a_file_that_is_missing(missing):
 def test_a_key_that_is_kept_elsewhere_or_encrypted_is_no_part_of_the_claim():
     without = {name: content for name, content in OURS.items() if name != "key.pem"}
     assert refused(without) == {("file-missing", "key.pem")}
-    public = public_keys.to_pem(keys.from_pem(OURS["key.pem"]).public_key())
+    public = keys.public_to_pem(keys.from_pem(OURS["key.pem"]).public_key())
     assert {claim.proof for claim in claims(without, replace(anchors(PLAIN), public_key=public))} == {Proof.PROVEN}
     encrypted = keys.to_pem(keys.from_pem(OURS["key.pem"]), b"secret")
     assert {claim.proof for claim in claims({**OURS, "key.pem": encrypted})} == {Proof.PROVEN}

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from comarmor.errors import Origin
 from keymint.errors import KeymintError
-from keymint.pki.mime import UNREAD, canonical_text, refuse, unwrap, wrap
+from keymint.pki.smime import UNREAD, canonical_text, refuse, unwrap, wrap
 
 CONTENTS = st.text(st.characters(exclude_characters="\0\r", exclude_categories=["Cs"]), max_size=200).map(str.encode)
 SIGNATURES = st.binary(min_size=1, max_size=200)

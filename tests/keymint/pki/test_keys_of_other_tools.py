@@ -6,7 +6,7 @@ from __future__ import annotations
 import pytest
 
 from keymint.api import KeySpec
-from keymint.pki import key_files, keys
+from keymint.pki import keys
 
 EC = keys.to_pem(keys.generate(KeySpec("ec", "SECP256R1")))
 RSA = keys.to_pem(keys.generate(KeySpec("rsa", size=2048)))
@@ -37,32 +37,32 @@ def test_a_key_that_can_be_read(openssl, pem: bytes, form: str) -> None:
     content = written(openssl, pem, *READ[form])
     public = keys.public_of(pem)
     for each in (content, content + b"\n"):
-        assert key_files.has_any(each)
-        assert key_files.private_keys(each) == key_files.PrivateKeys((public,))
-        assert keys.public_of(key_files.pem_of(each, public)) == public
+        assert keys.has_private_key(each)
+        assert keys.private_keys(each) == ((public,), False)
+        assert keys.public_of(keys.pem_of(each, public)) == public
 
 
 @pytest.mark.parametrize("pem", [EC, RSA], ids=["ec", "rsa"])
 @pytest.mark.parametrize("form", SEALED)
 def test_a_key_that_cannot_be_read(openssl, pem: bytes, form: str) -> None:
     content = written(openssl, pem, *SEALED[form])
-    assert key_files.has_any(content)
-    assert key_files.private_keys(content) == key_files.PrivateKeys(sealed=True)
+    assert keys.has_private_key(content)
+    assert keys.private_keys(content) == ((), True)
 
 
 def test_several_keys_in_one_file(openssl) -> None:
     sealed = written(openssl, EC, *SEALED["encrypted PEM"])
-    found = key_files.private_keys(b"text\r\n" + EC + sealed + RSA.replace(b"\n", b"\r\n"))
-    assert found == key_files.PrivateKeys((keys.public_of(EC), keys.public_of(RSA)), sealed=True)
-    assert keys.public_of(key_files.pem_of(EC + RSA, keys.public_of(RSA))) == keys.public_of(RSA)
+    found = keys.private_keys(b"text\r\n" + EC + sealed + RSA.replace(b"\n", b"\r\n"))
+    assert found == ((keys.public_of(EC), keys.public_of(RSA)), True)
+    assert keys.public_of(keys.pem_of(EC + RSA, keys.public_of(RSA))) == keys.public_of(RSA)
 
 
 def test_a_key_of_another_kind(openssl) -> None:
     for form in ((), ("-outform", "DER")):
         openssl.accepts("genpkey", "-algorithm", "ed25519", *form, "-out", "written")
         content = (openssl.folder / "written").read_bytes()
-        assert key_files.has_any(content)
-        assert key_files.private_keys(content) == key_files.PrivateKeys()
+        assert keys.has_private_key(content)
+        assert keys.private_keys(content) == ((), False)
 
 
 @pytest.mark.parametrize(
@@ -73,6 +73,6 @@ def test_a_key_of_another_kind(openssl) -> None:
 )  # fmt: skip
 def test_what_is_no_private_key(openssl, arguments: tuple[str, ...]) -> None:
     content = written(openssl, EC, *arguments)
-    assert not key_files.has_any(content)
+    assert not keys.has_private_key(content)
     for damaged in (content, content[:40], b"\x30", b"", b"\x30\x80\x02\x01\x03"):
-        assert key_files.private_keys(damaged) == key_files.PrivateKeys()
+        assert keys.private_keys(damaged) == ((), False)
