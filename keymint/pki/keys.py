@@ -179,16 +179,16 @@ def public_of(pem: bytes, password: bytes | None = None, where: Origin | None = 
     """
     if is_encrypted(pem):
         return from_pem(pem, password, where).public_key()
-    known = _KNOWN.get(hashlib.sha256(pem).digest())
-    return cast("PublicKey", serialization.load_der_public_key(known[0])) if known else _read(pem, where)[0]
+    return cast("PublicKey", serialization.load_der_public_key(_known(pem, where)[0]))
 
 
-def _read(pem: bytes, where: Origin | None = None) -> tuple[PublicKey, bool]:
-    """Read and remember an unencrypted key; returns its public key, and whether :func:`to_pem` writes the file so."""
-    key = from_pem(pem, None, where)
-    public, canonical = key.public_key(), _plain_pem(key) == pem
-    _remember(pem, public, canonical=canonical)
-    return public, canonical
+def _known(pem: bytes, where: Origin | None = None) -> tuple[bytes, bool]:
+    """Return what is remembered of an unencrypted key, see :data:`_KNOWN`; one that is not known is read first."""
+    digest = hashlib.sha256(pem).digest()
+    if digest not in _KNOWN:
+        key = from_pem(pem, None, where)
+        _remember(pem, key.public_key(), canonical=_plain_pem(key) == pem)
+    return _KNOWN[digest]
 
 
 def _remember(pem: bytes, key: PublicKey, *, canonical: bool) -> None:
@@ -219,8 +219,7 @@ def is_canonical(pem: bytes) -> bool:
     """
     try:
         if not is_encrypted(pem):
-            known = _KNOWN.get(hashlib.sha256(pem).digest())
-            return known[1] if known else _read(pem)[1]
+            return _known(pem)[1]
         frame = _PEM.fullmatch(pem)
         return frame is not None and der.base64_lines(base64.b64decode(frame[2])) == frame[2]
     except (KeymintError, binascii.Error):

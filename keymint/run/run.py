@@ -24,8 +24,7 @@ from keymint.executors import PROCESSES, Processes
 from keymint.names import package_name
 from keymint.output.console import Console, Streams
 from keymint.output.report import Report, merged_diagnostics
-from keymint.pki.tokens.pin_sources import Pins
-from keymint.pki.tokens.token_sessions import Tokens
+from keymint.pki.tokens.token_sessions import Pins, Tokens
 from keymint.run.execution import RECORD, Workers, execute, open_store, remember, require_register
 from keymint.store.changes import File, Plan, Step
 from keymint.store.journal import Journal, intent_of

@@ -20,8 +20,7 @@ from keymint_ros2_dds.transports.enclave_model import EnclaveModel
 from keymint_ros2_dds.vendors.participants import RefusedError, System, Vendor
 
 from keymint.api import Environment, InstalledEnclave, Issuance, KeySpec
-from keymint.pki.tokens.pin_sources import VARIABLE, Pins
-from keymint.pki.tokens.token_sessions import Tokens
+from keymint.pki.tokens.token_sessions import PIN_VARIABLE, Pins, Tokens
 from tests.conftest import CHECKOUT
 from tests.softhsm import PIN, SoftHsm
 
@@ -37,7 +36,7 @@ ROBOT_PIN = "FASTDDS_PKCS11_PIN"
 def keymint(folder: Path, *arguments: str | Path, fails: str = "") -> str:
     """Run the command in a process of its own, with the clock of the machine, which vendors use too."""
     searched = os.pathsep.join(str(Path(entry).resolve()) for entry in sys.path if entry)
-    environment = {**os.environ, "PYTHONPATH": searched, VARIABLE: PIN}
+    environment = {**os.environ, "PYTHONPATH": searched, PIN_VARIABLE: PIN}
     environment.pop("SOURCE_DATE_EPOCH", None)
     command = [sys.executable, "-m", "keymint", *arguments]
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
@@ -93,7 +92,7 @@ def robot(tmp_path: Path, softhsm: SoftHsm) -> Path:
     keymint(tmp_path, "provision", POLICY, "-w", "ws")
     ws = tmp_path / "ws"
     uri = softhsm.make_key("talker")
-    tokens = Tokens({}, Pins({VARIABLE: PIN}).pin)
+    tokens = Tokens({}, Pins({PIN_VARIABLE: PIN}).pin)
     public = tokens.public_key(KeySpec("ec", "SECP256R1", uri=uri))
     tokens.close()
     document = ws / "src/talker/identities.xml"

@@ -25,8 +25,7 @@ from keymint.api import BuildOptions, LoadedPolicy
 from keymint.api.plugin_loader import Plugins
 from keymint.authority.authorities import plan_authorities
 from keymint.errors import KeymintError
-from keymint.pki.tokens.pin_sources import Pins
-from keymint.pki.tokens.token_sessions import Tokens
+from keymint.pki.tokens.token_sessions import Pins, Tokens
 from keymint.stages.build import BuildStage
 from keymint.stages.create import CreateStage, packages_to_create
 from keymint.stages.install import InstallStage

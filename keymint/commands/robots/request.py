@@ -20,7 +20,7 @@ from keymint.errors import KeymintError
 from keymint.names import package_name, subject_of
 from keymint.pki import certificates, keys
 from keymint.pki.distinguished_names import common_name
-from keymint.pki.tokens.pin_sources import VARIABLE as PIN_VARIABLE
+from keymint.pki.tokens.token_sessions import PIN_VARIABLE
 from keymint.robots import certification_request as requests
 from keymint.robots.bundle import CERTIFICATE, KEY
 from keymint.robots.robot_keystore import Keystore

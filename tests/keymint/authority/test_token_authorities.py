@@ -17,8 +17,7 @@ import pytest
 
 from keymint.api import KeySpec
 from keymint.pki import certificates
-from keymint.pki.tokens.pin_sources import VARIABLE, Pins
-from keymint.pki.tokens.token_sessions import Tokens
+from keymint.pki.tokens.token_sessions import PIN_VARIABLE, Pins, Tokens
 from tests.conftest import NOW, snapshot
 from tests.keymint.pki.conftest import make_spec
 from tests.keymint.stages.keystores import AUTHORITY_KEYS, CERTIFICATES, ENCLAVES, content, public_key
@@ -26,7 +25,7 @@ from tests.softhsm import PIN, SoftHsm
 
 pytestmark = pytest.mark.softhsm
 NAMES = ("identity_ca", "permissions_ca")
-RIGHT, WRONG = {VARIABLE: PIN}, {VARIABLE: "wrong-secret"}
+RIGHT, WRONG = {PIN_VARIABLE: PIN}, {PIN_VARIABLE: "wrong-secret"}
 
 
 def name_keys(ws: Path, **elements: str) -> None:
@@ -144,7 +143,7 @@ def test_only_what_changed_is_signed(keymint, in_token: Path, signatures: Counte
 @pytest.mark.parametrize(
     ("environment", "said"),
     [
-        ({}, f"the environment variable {VARIABLE}, which holds the PIN of the token ca, is not set"),
+        ({}, f"the environment variable {PIN_VARIABLE}, which holds the PIN of the token ca, is not set"),
         (WRONG, "the PIN of the token ca is wrong"),
     ],
 )
@@ -329,7 +328,7 @@ def test_a_token_signs_revocation_lists(keymint, in_token: Path, signatures: Cou
     (in_token.parent / "stolen.pem").write_bytes(stolen)
     outcome = keymint("revoke", "talker", "--reason", "key-compromise", cwd=in_token)
     assert outcome.code == 1
-    assert VARIABLE in outcome.err
+    assert PIN_VARIABLE in outcome.err
     signatures.clear()  # it was asked for one
     assert keymint("revoke", "talker", "--reason", "key-compromise", cwd=in_token, env=RIGHT).code == 0
     assert signatures["identity_ca"] == 1
@@ -374,8 +373,8 @@ def at_terminal(ws: Path, typed: bytes, *words: str) -> tuple[int, str]:
     [
         (f"{PIN}\n".encode(), 0, "1 updated"),
         (b"wrong-secret\n", 1, "the PIN of the token ca is wrong"),
-        (b"\n", 1, f"the environment variable {VARIABLE}"),
-        (b"\x04", 1, f"the environment variable {VARIABLE}"),
+        (b"\n", 1, f"the environment variable {PIN_VARIABLE}"),
+        (b"\x04", 1, f"the environment variable {PIN_VARIABLE}"),
         (CTRL_C, 130, "interrupted"),
     ],
     ids=["right", "wrong", "empty", "end of input", "Ctrl+C"],

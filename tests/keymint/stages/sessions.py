@@ -8,8 +8,7 @@ from pathlib import Path
 
 from keymint.api import Environment
 from keymint.api.plugin_loader import Plugins
-from keymint.pki.tokens.pin_sources import Pins
-from keymint.pki.tokens.token_sessions import Tokens
+from keymint.pki.tokens.token_sessions import Pins, Tokens
 from keymint.view.stamps import load
 from keymint.view.tree import Tree
 from keymint.workspace.session import Inputs, Session

@@ -14,8 +14,7 @@ from keymint_ros2_dds.emit import emission
 from keymint.api import BuildOptions, Environment
 from keymint.api.plugin_loader import Plugins
 from keymint.executors.cluster import Cluster, carry_out
-from keymint.pki.tokens.pin_sources import Pins
-from keymint.pki.tokens.token_sessions import Tokens
+from keymint.pki.tokens.token_sessions import Pins, Tokens
 from keymint.stages.build import BuildStage, compile_elsewhere
 from keymint.view.stamps import State
 from keymint.view.tree import Tree

@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 
 from comarmor.errors import Origin
-from keymint.pki.tokens.pin_sources import VARIABLE
+from keymint.pki.tokens.token_sessions import PIN_VARIABLE
 from keymint.robots import certification_request
 from tests.conftest import snapshot
 from tests.softhsm import PIN, SoftHsm
 
-WITH_PIN = {VARIABLE: PIN}
+WITH_PIN = {PIN_VARIABLE: PIN}
 
 
 def asked(keymint, *arguments: object, **settings: object) -> dict:
@@ -154,7 +154,7 @@ def test_a_key_in_a_token_signs_its_request(keymint, tmp_path: Path, softhsm: So
     ("uri", "environment", "code"),
     [
         ("pkcs11:token=ca;object=talker", {}, "token-pin-missing"),
-        ("pkcs11:token=ca;object=talker", {VARIABLE: "wrong-secret"}, "token-pin"),
+        ("pkcs11:token=ca;object=talker", {PIN_VARIABLE: "wrong-secret"}, "token-pin"),
         ("pkcs11:token=ca;object=other", WITH_PIN, "token-key-missing"),
         ("pkcs11:token=ca", WITH_PIN, "pkcs11-uri"),
     ],

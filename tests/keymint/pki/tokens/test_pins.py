@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from keymint.errors import KeymintError
-from keymint.pki.tokens.pin_sources import MISSING, REFUSED, VARIABLE, Pins
+from keymint.pki.tokens.token_sessions import PIN_MISSING, PIN_REFUSED, PIN_VARIABLE, Pins
 
 SECRET = "4711-pin"
 
@@ -22,17 +22,17 @@ def test_a_file_that_is_named_comes_first(tmp_path: Path) -> None:
     file = tmp_path / "pin"
     file.write_text(f"{SECRET}\n")
     file.chmod(0o600)
-    assert Pins({VARIABLE: "other", "CA_PIN": "other"}, never).pin("ca", str(file), "CA_PIN") == SECRET
+    assert Pins({PIN_VARIABLE: "other", "CA_PIN": "other"}, never).pin("ca", str(file), "CA_PIN") == SECRET
 
 
 def test_the_variable_that_is_named_comes_before_the_usual_one() -> None:
-    pins = Pins({VARIABLE: "usual", "CA_PIN": "named"}, never)
+    pins = Pins({PIN_VARIABLE: "usual", "CA_PIN": "named"}, never)
     assert (pins.pin("ca", "", "CA_PIN"), pins.pin("ca", "", "")) == ("named", "usual")
 
 
 def test_the_user_is_asked_last() -> None:
     asked: list[str] = []
-    pins = Pins({VARIABLE: "for other tokens"}, lambda text: asked.append(text) or SECRET)
+    pins = Pins({PIN_VARIABLE: "for other tokens"}, lambda text: asked.append(text) or SECRET)
     assert pins.pin("ca", "", "CA_PIN") == SECRET
     assert asked == ["PIN of the token ca: "]
 
@@ -40,8 +40,8 @@ def test_the_user_is_asked_last() -> None:
 @pytest.mark.parametrize("ask", [None, lambda _text: ""])
 def test_no_pin_at_all(ask: object) -> None:
     with pytest.raises(KeymintError, match="CA_PIN, which holds the PIN of the token ca, is not set") as error:
-        Pins({VARIABLE: "for other tokens"}, ask).pin("ca", "", "CA_PIN")
-    assert error.value.diagnostics[0].code == MISSING
+        Pins({PIN_VARIABLE: "for other tokens"}, ask).pin("ca", "", "CA_PIN")
+    assert error.value.diagnostics[0].code == PIN_MISSING
 
 
 @pytest.mark.parametrize("mode", [0o640, 0o604, 0o620, 0o666, 0o611])
@@ -92,13 +92,13 @@ def test_a_file_of_another_user_is_refused(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_no_pin_is_shown() -> None:
-    assert SECRET not in repr(Pins({VARIABLE: SECRET}))
+    assert SECRET not in repr(Pins({PIN_VARIABLE: SECRET}))
 
 
 def refused(file: Path, problem: str) -> None:
     with pytest.raises(KeymintError) as error:
-        Pins({VARIABLE: SECRET}, never).pin("ca", str(file), "")
+        Pins({PIN_VARIABLE: SECRET}, never).pin("ca", str(file), "")
     (found,) = error.value.diagnostics
-    assert found.code == REFUSED
+    assert found.code == PIN_REFUSED
     assert problem in found.message
     assert "4711" not in str(found)
