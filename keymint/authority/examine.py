@@ -71,47 +71,6 @@ def require_unused(files: AuthorityFiles) -> None:
         )
 
 
-def require_fit(files: AuthorityFiles, key: keys.PublicKey) -> None:
-    """Require that the private key is the one of the certificate.
-
-    Raises:
-        KeymintError: it is not; names the wrong file, if that is known.
-    """
-    if files.certificate is None or certificates.public_key(files.certificate) == key:
-        return
-    if keys.fingerprint(key) in files.known():
-        raise KeymintError(
-            f"is the certificate of another key than {files.key_file}, which is the key of {files.name!r}",
-            where=files.certificate_file,
-            help=f"restore it, or remove it and run 'keymint install'; {new_authority_help(files.name)}",
-            code="authority-key-mismatch",
-        )
-    raise KeymintError(
-        f"is not the private key of {files.certificate_file}",
-        where=files.key_file,
-        help=f"restore the file that is wrong; {new_authority_help(files.name)}",
-        code="authority-key-mismatch",
-    )
-
-
-def require_name(files: AuthorityFiles) -> None:
-    """Require that the certificate has the subject name of the profile, its RDNs in any order.
-
-    Raises:
-        KeymintError: it has another name; with the profile's name it would be a new authority.
-    """
-    if files.certificate is None or distinguished_names.has_same_rdns(files.certificate.subject, files.subject):
-        return
-    spec = files.authority.certificate
-    raise KeymintError(
-        f"is for {distinguished_names.to_text(files.certificate.subject)!r}, but {spec.origin} asks for "
-        f"{distinguished_names.to_text(files.subject)!r}",
-        where=files.certificate_file,
-        help=f"restore the file or the subject_name; {new_authority_help(files.name)}",
-        code="authority-renamed",
-    )
-
-
 def require_known(files: AuthorityFiles, key: keys.PublicKey, given: Origin | None = None) -> None:
     """Require that the authority's key was not replaced.
 
@@ -138,13 +97,36 @@ def require_known(files: AuthorityFiles, key: keys.PublicKey, given: Origin | No
 
 
 def require_in_use(files: AuthorityFiles, key: keys.PublicKey) -> None:
-    """Require that a key is that of the certificate, and that nobody exchanged both.
+    """Require that a private key is the one of the certificate, and that nobody exchanged both.
 
     Raises:
-        KeymintError: as :func:`require_fit`, :func:`require_name` and :func:`require_known`, in this order.
+        KeymintError: it is not, and then names the wrong file, if that is known. Or the certificate has another subject
+            name than the profile, its RDNs in any order: with the profile's name it would be a new authority. Or as
+            :func:`require_known`.
     """
-    require_fit(files, key)
-    require_name(files)
+    present, spec, new_help = files.certificate, files.authority.certificate, new_authority_help(files.name)
+    if present is not None and certificates.public_key(present) != key:
+        if keys.fingerprint(key) in files.known():
+            raise KeymintError(
+                f"is the certificate of another key than {files.key_file}, which is the key of {files.name!r}",
+                where=files.certificate_file,
+                help=f"restore it, or remove it and run 'keymint install'; {new_help}",
+                code="authority-key-mismatch",
+            )
+        raise KeymintError(
+            f"is not the private key of {files.certificate_file}",
+            where=files.key_file,
+            help=f"restore the file that is wrong; {new_help}",
+            code="authority-key-mismatch",
+        )
+    if present is not None and not distinguished_names.has_same_rdns(present.subject, files.subject):
+        raise KeymintError(
+            f"is for {distinguished_names.to_text(present.subject)!r}, but {spec.origin} asks for "
+            f"{distinguished_names.to_text(files.subject)!r}",
+            where=files.certificate_file,
+            help=f"restore the file or the subject_name; {new_help}",
+            code="authority-renamed",
+        )
     require_known(files, key)
 
 
