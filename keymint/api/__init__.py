@@ -33,7 +33,6 @@ from keymint.api.building import Hint as Hint
 from keymint.api.building import Implementation as Implementation
 from keymint.api.building import Inspection as Inspection
 from keymint.api.building import Layout as Layout
-from keymint.api.building import SharedInspection as SharedInspection
 from keymint.api.building import SigningAuthority as SigningAuthority
 from keymint.api.foreign_keystores import AdoptedSources as AdoptedSources
 from keymint.api.foreign_keystores import FoundAuthority as FoundAuthority

@@ -19,7 +19,6 @@ from keymint.api.building import (
     Implementation,
     Inspection,
     Layout,
-    SharedInspection,
 )
 from keymint.api.foreign_keystores import KeystoreReader
 from keymint.api.graph import Edge
@@ -360,7 +359,7 @@ class BuildType(ABC):
         """
         return {}
 
-    def check_shared(self, inspection: SharedInspection) -> Sequence[Diagnostic]:
+    def check_shared(self, inspection: Inspection) -> Sequence[Diagnostic]:
         """Return findings on the installed shared documents; their codes are stable."""
         return ()
 

@@ -152,54 +152,39 @@ class EnvironmentVariable:
 
 @dataclass(frozen=True, slots=True)
 class Inspection:
-    """An installed enclave with the expected state that ``keymint check`` compares it with.
+    """An installed enclave, or installed shared documents, and the state that ``keymint check`` expects.
 
     Attributes:
-        package: the package as its sources define it now.
-        documents: the documents that the build type builds from the current sources.
-        files: the enclave's files by name, those of :meth:`BuildType.files` only.
-        folder: the enclave's folder as the user would type it.
+        packages: the package of the enclave, or all packages of the build type, as their sources define them now.
+        documents: the documents that the build type builds from the current sources; shared ones by path relative to
+            the install space.
+        files: the enclave's files by name, those of :meth:`BuildType.files` only; or the installed shared documents and
+            the files beside them that belong to them. A missing shared document is reported already.
+        folder: the enclave's folder, or for shared documents the install space, as the user would type it.
         layout: name of the layout.
-        chains: trusted certificate chains by role, PEM; empty bytes for an authority without a certificate.
+        chains: trusted certificate chains by role, PEM; empty bytes for an authority without a certificate. For shared
+            documents as :class:`Credentials` has them.
         now: the clock, UTC.
         within_days: report certificates and documents that expire within this number of days.
-    """
-
-    package: Package
-    documents: Mapping[str, bytes]
-    files: Mapping[str, bytes] = field(repr=False)
-    folder: str
-    layout: str
-    chains: Mapping[str, bytes]
-    now: datetime
-    within_days: float
-
-
-@dataclass(frozen=True, slots=True)
-class SharedInspection:
-    """The installed shared documents with the expected state that ``keymint check`` compares them with.
-
-    Attributes:
-        packages: all packages of the build type, as their sources define them now.
-        documents: the shared documents that the current sources build, by path relative to the install space.
-        files: the installed ones, and the files beside them that belong to them; a missing one is reported already.
-        enclaves: files of each installed enclave by subject, those of :meth:`BuildType.files` only.
-        folder: the install space as the user would type it.
-        layout: name of the layout.
-        chains: trusted certificate chains by role, PEM, as :class:`Credentials` has them.
-        now: the clock, UTC.
-        within_days: report certificates and documents that expire within this number of days.
+        enclaves: for shared documents, files of each installed enclave by subject, those of :meth:`BuildType.files`
+            only.
     """
 
     packages: Sequence[Package]
     documents: Mapping[str, bytes]
     files: Mapping[str, bytes] = field(repr=False)
-    enclaves: Mapping[str, Mapping[str, bytes]] = field(repr=False)
     folder: str
     layout: str
     chains: Mapping[str, bytes]
     now: datetime
     within_days: float
+    enclaves: Mapping[str, Mapping[str, bytes]] = field(default_factory=dict, repr=False)
+
+    @property
+    def package(self) -> Package:
+        """The package of the enclave; not for shared documents."""
+        [package] = self.packages
+        return package
 
 
 @dataclass(frozen=True, slots=True)

@@ -164,7 +164,7 @@ def _inspections(session: Session, package: Package, files: Mapping[str, bytes],
     for name, build_type in build_types.items():
         own = build_type.files(layout)
         inspection = Inspection(
-            package=package,
+            packages=(package,),
             documents=_built(build_type, package) if recorded is None else recorded,
             files={file: content for file, content in files.items() if file in own},
             folder=folder,

@@ -17,7 +17,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from keymint.api import Artifact, BuildOptions, SharedInspection
+from keymint.api import Artifact, BuildOptions, Inspection
 from keymint.errors import KeymintError
 from keymint.life.workspace_register import withdrawn
 from keymint.names import ROOT
@@ -331,13 +331,13 @@ def _shared(session: Session, within: timedelta) -> tuple[Iterable[Diagnostic], 
     return dict.fromkeys(diagnostics), files
 
 
-def _inspection(session: Session, name: str, within: timedelta) -> SharedInspection:
+def _inspection(session: Session, name: str, within: timedelta) -> Inspection:
     packages = load_packages(session, name)
     # What the options of a build accept was reported and accepted when the documents were built.
     built = build_shared(session, name, BuildOptions(allow_vendor_specific=True))
     stamp = session.state.stamp(INSTALLED, record_key(name))
     anchors = shared_anchors(session, packages, session.plugins.build_type(name))
-    return SharedInspection(
+    return Inspection(
         packages=packages,
         documents=built.documents,
         files=installed_shared(session, sorted({*built.documents, *(stamp.outputs if stamp else ())})),
@@ -350,7 +350,7 @@ def _inspection(session: Session, name: str, within: timedelta) -> SharedInspect
     )
 
 
-def _on_disk(session: Session, name: str, inspection: SharedInspection, stamp: Stamp | None) -> Iterator[Diagnostic]:
+def _on_disk(session: Session, name: str, inspection: Inspection, stamp: Stamp | None) -> Iterator[Diagnostic]:
     """Check that the files are there, their modes, and their recorded digests."""
     recorded: Mapping[str, str] = stamp.outputs if stamp else {}
     for path in sorted({*inspection.documents, *recorded, *inspection.files}):

@@ -102,7 +102,7 @@ class NoticeBoard(PlainBuildType):
             signed = smime.sign(content, signer.certificate, signer.key)
         return {BOARD: api.Artifact(content), SIGNATURE: api.Artifact(signed)}
 
-    def check_shared(self, inspection: api.SharedInspection) -> Iterator[Diagnostic]:
+    def check_shared(self, inspection: api.Inspection) -> Iterator[Diagnostic]:
         where = Origin(f"{inspection.folder}/{SIGNATURE}")
         if SIGNATURE not in inspection.files:
             yield Diagnostic("file-missing", Severity.ERROR, "is missing", where)

@@ -19,7 +19,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.text import quoted
-from keymint.api import EnclaveFiles, Inspection, SharedInspection, TrustAnchor, ValidityTerm
+from keymint.api import EnclaveFiles, Inspection, TrustAnchor, ValidityTerm
 from keymint.errors import KeymintError
 from keymint.names import name_of
 from keymint.pki import certificates, cms, extensions
@@ -103,7 +103,7 @@ def check(inspection: Inspection) -> tuple[Diagnostic, ...]:
     return tuple(_EnclaveCheck(inspection).findings())
 
 
-def check_shared(inspection: SharedInspection) -> tuple[Diagnostic, ...]:
+def check_shared(inspection: Inspection) -> tuple[Diagnostic, ...]:
     """Return findings on the router's configuration; its signature is one of the trust anchors. Codes are stable."""
     content, file = inspection.files.get(ROUTER), f"{inspection.folder}/{ROUTER}"
     if content is None:
@@ -117,7 +117,7 @@ def check_shared(inspection: SharedInspection) -> tuple[Diagnostic, ...]:
     return tuple(configurations.check_findings(content, inspection.documents[ROUTER], file, _INSTALL, of_router))
 
 
-def _installed_names(inspection: SharedInspection, names: Mapping[str, str]) -> Iterator[Diagnostic]:
+def _installed_names(inspection: Inspection, names: Mapping[str, str]) -> Iterator[Diagnostic]:
     """Yield certificates that the router knows by another name, or not at all."""
     for subject, name in names.items():
         try:

@@ -77,7 +77,7 @@ def installed(package: Package, layout: str = "sros2", **authorities: str) -> di
 
 def inspection(package: Package, files: dict[str, bytes], **fields) -> Inspection:
     usual = Inspection(
-        package,
+        [package],
         build_type.build(package, BuildOptions()).documents,
         files,
         f"install/enclaves/{package.name}",

@@ -17,7 +17,6 @@ from keymint.api import (
     Credentials,
     Inspection,
     Package,
-    SharedInspection,
     SigningAuthority,
     Validity,
 )
@@ -67,7 +66,7 @@ def installed(package: Package, **changed: Any) -> dict[str, bytes]:
 def inspection(package: Package, files: Mapping[str, bytes], **fields: Any) -> Inspection:
     documents = build_type.build(package, OPTIONS).documents
     chains = {"identity": pem("identity_ca"), "access": pem("permissions_ca")}
-    usual = Inspection(package, documents, files, f"install/enclaves{package.subject}", "sros2", chains, NOW, 0)
+    usual = Inspection([package], documents, files, f"install/enclaves{package.subject}", "sros2", chains, NOW, 0)
     return replace(usual, **fields)
 
 
@@ -79,7 +78,7 @@ def shared(packages: Sequence[Package], by: str = "permissions_ca") -> dict[str,
     return {name: artifact.content for name, artifact in artifacts.items()}
 
 
-def shared_inspection(packages: Sequence[Package], files: Mapping[str, bytes], **fields: Any) -> SharedInspection:
+def shared_inspection(packages: Sequence[Package], files: Mapping[str, bytes], **fields: Any) -> Inspection:
     documents = build_type.build_shared(packages, OPTIONS).documents
     chains = {"identity": pem("identity_ca"), "access": pem("permissions_ca")}
-    return replace(SharedInspection(packages, documents, files, {}, "install", "sros2", chains, NOW, 0), **fields)
+    return replace(Inspection(packages, documents, files, "install", "sros2", chains, NOW, 0), **fields)
