@@ -37,12 +37,12 @@ DECIDED_BY_A_PERSON = frozenset(
 
 
 def require_pair(
-    key: keys.PrivateKey, certificate: x509.Certificate, where: Origin | None, of: str, help_: str
+    key: keys.PrivateKey | keys.PublicKey, certificate: x509.Certificate, where: Origin | None, of: str, help_: str
 ) -> None:
     """Require that a private key is that of the certificate with which it is to come into force.
 
     Args:
-        key: the key.
+        key: the key, or its public half.
         certificate: the certificate.
         where: the file of the key.
         of: what the certificate is called.
@@ -105,20 +105,16 @@ def require_in_use(files: AuthorityFiles, key: keys.PublicKey) -> None:
             :func:`require_known`.
     """
     present, spec, new_help = files.certificate, files.authority.certificate, new_authority_help(files.name)
-    if present is not None and certificates.public_key(present) != key:
-        if keys.fingerprint(key) in files.known():
+    if present is not None:
+        if not keys.matches(key, present) and keys.fingerprint(key) in files.known():
             raise KeymintError(
                 f"is the certificate of another key than {files.key_file}, which is the key of {files.name!r}",
                 where=files.certificate_file,
                 help=f"restore it, or remove it and run 'keymint install'; {new_help}",
                 code="authority-key-mismatch",
             )
-        raise KeymintError(
-            f"is not the private key of {files.certificate_file}",
-            where=files.key_file,
-            help=f"restore the file that is wrong; {new_help}",
-            code="authority-key-mismatch",
-        )
+        help_ = f"restore the file that is wrong; {new_help}"
+        require_pair(key, present, files.key_file, str(files.certificate_file), help_)
     if present is not None and not distinguished_names.has_same_rdns(present.subject, files.subject):
         raise KeymintError(
             f"is for {distinguished_names.to_text(present.subject)!r}, but {spec.origin} asks for "
