@@ -37,7 +37,7 @@ def library_name(file: str) -> str | None:
     return match[1] if match else None
 
 
-def cited(file: str, line: int = 0) -> str:
+def citation(file: str, line: int = 0) -> str:
     """Return a place for messages: ``file:line``, or for the shipped library ``common/node.xml:3 (library)``.
 
     Args:
@@ -85,7 +85,7 @@ class Origin:
 
     def __str__(self) -> str:
         """Return ``file:line``, followed by the chain of includes."""
-        return "".join([cited(self.file, self.line), *(f", included from {outer}" for outer in self.chain)])
+        return "".join([citation(self.file, self.line), *(f", included from {outer}" for outer in self.chain)])
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Text for messages: escaped, quoted, counted, with the nearest known word, and safe for JSON."""
+"""Text for messages: escaped, quote, quantity, with the nearest known word, and safe for JSON."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _LONGEST_WORD = 128
 """Characters of a word that are compared, and shown, at most: difflib takes quadratic time."""
 
 
-def printable(text: str) -> str:
+def one_line(text: str) -> str:
     """Return text on one line, with characters that are not printable escaped as in Python.
 
     These are terminal controls (C0 and C1), characters that reorder or hide text (format characters, such as the
@@ -24,13 +24,13 @@ def printable(text: str) -> str:
 
 
 def printable_lines(text: str) -> str:
-    """Return text escaped as by :func:`printable`, but with line ends and tabs kept."""
+    """Return text escaped as by :func:`one_line`, but with line ends and tabs kept."""
     if text.isascii() and text.isprintable():
         return text
     return "".join(char if char.isprintable() or char in "\n\t" else _escaped(char) for char in text)
 
 
-def encodable(value: Any) -> Any:
+def encodable_value(value: Any) -> Any:
     """Return a value for JSON, with lone surrogates in texts escaped, which UTF-8 cannot encode (RFC 8259, 8.1).
 
     Args:
@@ -39,9 +39,9 @@ def encodable(value: Any) -> Any:
     if isinstance(value, str):
         return value if value.isascii() else value.encode("utf-8", "backslashreplace").decode()
     if isinstance(value, Mapping):
-        return {encodable(key): encodable(item) for key, item in value.items()}
+        return {encodable_value(key): encodable_value(item) for key, item in value.items()}
     if isinstance(value, Sequence) and not isinstance(value, bytes | bytearray):
-        return [encodable(item) for item in value]
+        return [encodable_value(item) for item in value]
     return value.isoformat() if isinstance(value, datetime) else value
 
 
@@ -63,16 +63,16 @@ def nearest_word(word: str, known: Iterable[str], similarity: float = 0.6) -> st
 def did_you_mean(word: str, known: Iterable[str], otherwise: str = "", *, similarity: float = 0.6) -> str:
     """Return ``did you mean '…'?`` with the nearest known word, or another hint if no word is near."""
     near = nearest_word(word, known, similarity)
-    return f"did you mean {quoted(near, _LONGEST_WORD)}?" if near else otherwise
+    return f"did you mean {quote(near, _LONGEST_WORD)}?" if near else otherwise
 
 
-def quoted(text: str, limit: int = 60) -> str:
+def quote(text: str, limit: int = 60) -> str:
     """Return text in quotes on one line, escaped, and cut to a length that keeps a message readable."""
-    shown = printable(text[: limit + 1])
+    shown = one_line(text[: limit + 1])
     return f"'{shown[:limit]}…'" if len(shown) > limit else f"'{shown}'"
 
 
-def counted(number: int, noun: str) -> str:
+def quantity(number: int, noun: str) -> str:
     """Return a number with its noun: ``no edges``, ``1 edge``, ``2 mismatches``."""
     ending = "" if number == 1 else "es" if noun.endswith(("ch", "x")) else "s"
     return f"{number or 'no'} {noun}{ending}"

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, TextIO, cast
 import click
 
 from comarmor.regex import lazy_regex
-from comarmor.text import printable, printable_lines
+from comarmor.text import one_line, printable_lines
 from keymint import SPACES, __version__
 from keymint.command_line.verb_group import VerbGroup
 from keymint.errors import ExitCode
@@ -177,12 +177,12 @@ def _failed(given: Sequence[str], error: Exception) -> int:
     """Report an exception that no verb handled, on one line: a system error, or a bug."""
     if isinstance(error, OSError) and error.filename is not None and error.strerror is not None:
         # The system refuses a path, e.g. one that is too long: not a bug.
-        place = printable(os.fsdecode(error.filename) if isinstance(error.filename, bytes) else str(error.filename))
+        place = one_line(os.fsdecode(error.filename) if isinstance(error.filename, bytes) else str(error.filename))
         shown = f"{place}: error: {error.strerror}"
         return _fail(given, "system", f"{place}: {error.strerror}", ExitCode.FAILURE, shown)
     if os.environ.get("KEYMINT_TRACEBACK"):
         raise error
-    what = printable(f"internal error: {type(error).__name__}: {error}")
+    what = one_line(f"internal error: {type(error).__name__}: {error}")
     message = f"{what} (KEYMINT_TRACEBACK=1 shows where; please report)"
     return _fail(given, "internal", message, ExitCode.FAILURE, f"keymint: {message}")
 

@@ -11,7 +11,7 @@ from itertools import accumulate
 
 from comarmor.errors import Origin
 from comarmor.rules import KIND_OF, PERMISSIONS, is_segment
-from comarmor.text import did_you_mean, quoted
+from comarmor.text import did_you_mean, quote
 from keymint.errors import KeymintError, usage_error
 
 MAX_SEGMENT = 200
@@ -56,25 +56,25 @@ def package_name(text: str) -> str:
         raise KeymintError(f"{text!r} is not a name", help=_EXAMPLE, code="name-illegal")
     if len(name) > MAX_NAME:
         raise KeymintError(
-            f"the name {quoted(name, 40)} has {len(name)} characters, the maximum is {MAX_NAME}", code="name-illegal"
+            f"the name {quote(name, 40)} has {len(name)} characters, the maximum is {MAX_NAME}", code="name-illegal"
         )
     for segment in name.split("/"):
         if not is_segment(segment):
             raise KeymintError(
-                f"{quoted(text, 80)} is not a legal name: in {quoted(segment, 80)}, only letters, digits and '_' are "
+                f"{quote(text, 80)} is not a legal name: in {quote(segment, 80)}, only letters, digits and '_' are "
                 "allowed, and no digit at the beginning",
                 help=_EXAMPLE,
                 code="name-illegal",
             )
         if segment.casefold() == RESERVED.casefold():
             raise KeymintError(
-                f"{quoted(text, 80)} is not a legal name: {segment!r} is reserved for the file that hides packages",
+                f"{quote(text, 80)} is not a legal name: {segment!r} is reserved for the file that hides packages",
                 help="rename the subject",
                 code="name-reserved",
             )
         if len(segment) > MAX_SEGMENT:
             raise KeymintError(
-                f"the segment {quoted(segment, 40)} has {len(segment)} characters, the maximum is {MAX_SEGMENT}",
+                f"the segment {quote(segment, 40)} has {len(segment)} characters, the maximum is {MAX_SEGMENT}",
                 code="name-illegal",
             )
     return name

@@ -18,7 +18,7 @@ from comarmor.errors import ComArmorError, Origin, Spot
 from comarmor.patterns.expression import canonical, escape
 from comarmor.patterns.tokens import COMARMOR, Bracket, next_token
 from comarmor.regex import lazy_regex
-from comarmor.text import did_you_mean, quoted
+from comarmor.text import did_you_mean, quote
 from comarmor.values import dataclass
 
 
@@ -85,7 +85,7 @@ def parse(text: str) -> tuple[Piece | TunableReference, ...]:
             placeholder = braces[0] if braces else text[at]
             if placeholder not in tuple(Placeholder):
                 raise ComArmorError(
-                    f"{quoted(placeholder)} is unknown, expected {{name}}, {{namespace}} or @{{TUNABLE}}",
+                    f"{quote(placeholder)} is unknown, expected {{name}}, {{namespace}} or @{{TUNABLE}}",
                     help=did_you_mean(placeholder, Placeholder, "for the character itself write \\{ or \\}"),
                     code="brace",
                 )
@@ -95,7 +95,7 @@ def parse(text: str) -> tuple[Piece | TunableReference, ...]:
             token, end = next_token(text, at, COMARMOR)
             if isinstance(token, Bracket) and _BARE_BRACE.search(text, at, end):
                 raise ComArmorError(
-                    f"a brace inside the bracket expression {quoted(text[at:end])}",
+                    f"a brace inside the bracket expression {quote(text[at:end])}",
                     help="write \\{ or \\} for a brace, or \\[ for a literal '['",
                     code="brace",
                 )

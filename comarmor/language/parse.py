@@ -18,7 +18,7 @@ from comarmor.language.source import INCLUDE
 from comarmor.language.syntax import Attachment, Inclusion, Profile, ProfileRule
 from comarmor.patterns.expression import literal
 from comarmor.rules import PERMISSIONS, Effect, is_subject
-from comarmor.text import quoted
+from comarmor.text import quote
 from comarmor.values import dataclass
 from comarmor.xml import schema
 
@@ -109,7 +109,7 @@ class _PolicyParser:
             included = item.document.includes[element]
             if audit is None and included.package:
                 self.refuse(
-                    f"a file of the package {quoted(included.package)} is included outside of a profile",
+                    f"a file of the package {quote(included.package)} is included outside of a profile",
                     child.where,
                     "package-outside",  # it could attach to any subject
                     "move the xi:include into a <profile>, "
@@ -220,7 +220,7 @@ class _PolicyParser:
             name = literal(expression.text)
             if name is not None and (expected := expected_of_name(name)):
                 self.refuse(
-                    f"{quoted(name)} is not a legal name of a subject", expression.where, "subject-name", expected
+                    f"{quote(name)} is not a legal name of a subject", expression.where, "subject-name", expected
                 )
             yield expression
 

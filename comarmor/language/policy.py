@@ -21,7 +21,7 @@ from comarmor.patterns.expression import literal, literal_prefix, matches, rule_
 from comarmor.patterns.glob import parse
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.rules import PARTS, PERMISSIONS, Effect, Rule, suffixes
-from comarmor.text import did_you_mean, quoted
+from comarmor.text import did_you_mean, quote
 from comarmor.values import dataclass
 from comarmor.xml.package_folders import ShippedFile
 
@@ -159,7 +159,7 @@ class _ElementaryRow(Row):
         """Return what the rules that match a name decide; that of the first partition that is denied."""
         allowing: dict[Rule, None] = {}
         for partition in partitions:
-            shown = f" in partition {quoted(partition)}" if partition else ""
+            shown = f" in partition {quote(partition)}" if partition else ""
             here = [rule for rule in matching if rule_matches_partition(rule, partition)]
             if denying := tuple(rule for rule in here if rule.effect is Effect.DENY):
                 return Ruling(Effect.DENY, denying, Reason(("the DENY rule", denying[0].origin, f" matches{shown}")))
@@ -185,7 +185,7 @@ class _CompositeRow(Row):
         for row, suffix in self._parts:
             ruling = row.ruling(name + suffix, partitions)
             if ruling.effect is Effect.DENY:
-                part = f"a part of it, {row.permission} {quoted(name + suffix)}, is denied: "
+                part = f"a part of it, {row.permission} {quote(name + suffix)}, is denied: "
                 return Ruling(Effect.DENY, ruling.rules, Reason((part, *ruling.reason.parts)))
             rules |= dict.fromkeys(ruling.rules)
         return Ruling(Effect.ALLOW, tuple(rules), Reason(("all parts of it are allowed",)))
@@ -202,13 +202,13 @@ class _CompositeRow(Row):
 def _known(kind: str, permission: str) -> None:
     if kind not in PERMISSIONS:
         raise ComArmorError(
-            f"unknown kind {quoted(kind)}, expected one of {', '.join(PERMISSIONS)}",
+            f"unknown kind {quote(kind)}, expected one of {', '.join(PERMISSIONS)}",
             help=did_you_mean(kind, PERMISSIONS),
             code="unknown-kind",
         )
     if permission not in PERMISSIONS[kind]:
         raise ComArmorError(
-            f"unknown permission {quoted(permission)} of {kind}, expected one of {', '.join(PERMISSIONS[kind])}",
+            f"unknown permission {quote(permission)} of {kind}, expected one of {', '.join(PERMISSIONS[kind])}",
             help=did_you_mean(permission, PERMISSIONS[kind]),
             code="unknown-permission",
         )

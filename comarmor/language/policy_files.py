@@ -10,7 +10,7 @@ from pathlib import Path
 from lxml import etree
 
 from comarmor.errors import ComArmorError, Origin
-from comarmor.text import did_you_mean, quoted
+from comarmor.text import did_you_mean, quote
 from comarmor.values import dataclass
 from comarmor.xml.package_folders import ShippedFile
 from comarmor.xml.reader import line, place
@@ -46,7 +46,7 @@ def href_of(element: etree._Element, where: Origin, known: tuple[str, ...] = ("h
         if attribute not in known:
             expected = f"{', '.join(known[:-1])} and {known[-1]}"
             raise ComArmorError(
-                f"xi:include has the attribute {quoted(attribute)}, expected only {expected}",
+                f"xi:include has the attribute {quote(attribute)}, expected only {expected}",
                 where=where,
                 help=did_you_mean(attribute, known),
                 code="schema",

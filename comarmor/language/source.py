@@ -20,7 +20,7 @@ from lxml import etree
 from comarmor.errors import ComArmorError, Origin
 from comarmor.language.policy_files import IncludeFormat, PolicyFile, PolicyFiles, href_of
 from comarmor.rules import PERMISSIONS
-from comarmor.text import quoted
+from comarmor.text import quote
 from comarmor.values import dataclass
 from comarmor.xml.package_folders import PackageFolders, ShippedFile
 from comarmor.xml.reader import LIMITS, XINCLUDE, Limits, parse, place
@@ -210,7 +210,7 @@ class _PolicyReader:
             self.seen[folder.place(relative)] = self.files[real]
         if real in self.open:
             raise ComArmorError(
-                f"{quoted(folder.name(relative), 200)} includes itself",
+                f"{quote(folder.name(relative), 200)} includes itself",
                 where=where,
                 help="remove one of the includes of the loop",
                 code="include-loop",
@@ -224,7 +224,7 @@ class _PolicyReader:
             first, document = self.done[key]
             if first != named and _above(first, document.climbs) != _above(named, document.climbs):
                 raise ComArmorError(
-                    f"a link to a folder makes this file also {quoted(path_text(str(first)), 200)},"
+                    f"a link to a folder makes this file also {quote(path_text(str(first)), 200)},"
                     " from where '..' in its includes leads to other files",
                     where=where,
                     help="include it by one of the two names only, or copy the folder in place of the link",
@@ -312,7 +312,7 @@ class _PolicyReader:
         """Return the folder of the files that a package ships."""
         if self.packages is None:
             raise ComArmorError(
-                f"the package {quoted(name)} cannot be looked up here, so none of its files can be included",
+                f"the package {quote(name)} cannot be looked up here, so none of its files can be included",
                 where=where,
                 code="package-unavailable",
             )
@@ -329,9 +329,9 @@ class _PolicyReader:
             from_root = posixpath.normpath(path_of(href, where))
             places.append(self.library.name(from_root))
             near = near or similar_file(self.library, from_root)
-        looked = f"looked for {' and '.join(quoted(each, 200) for each in dict.fromkeys(places))}"
+        looked = f"looked for {' and '.join(quote(each, 200) for each in dict.fromkeys(places))}"
         return ComArmorError(
-            f"the included file {quoted(href, 200)} does not exist",
+            f"the included file {quote(href, 200)} does not exist",
             where=where,
             help=f"{looked}; {near}" if near else looked,
             code="include-missing",

@@ -97,7 +97,7 @@ def words(glob: Glob, most: int) -> tuple[str, ...]:
     return tuple(map("".join, product(*choices)))
 
 
-def filled(glob: Glob, star: str, choose: Callable[[Charset], str]) -> str:
+def filled_text(glob: Glob, star: str, choose: Callable[[Charset], str]) -> str:
     """Return a text like a pattern.
 
     Args:

@@ -12,7 +12,7 @@ from dataclasses import field
 from pathlib import Path
 
 from comarmor.errors import ComArmorError, Origin
-from comarmor.text import counted, did_you_mean, quoted
+from comarmor.text import did_you_mean, quantity, quote
 from comarmor.values import dataclass
 from comarmor.xml.sandboxed_paths import (
     FOLLOW_LINKS,
@@ -140,14 +140,14 @@ class InstalledPackages:
         follows = self.trusted is None or package in self.trusted
         if not follows and not real.is_relative_to(expected):
             raise ComArmorError(
-                f"a symbolic link leads out of the package {quoted(package)}, at or above '{path_text(str(place))}'",
+                f"a symbolic link leads out of the package {quote(package)}, at or above '{path_text(str(place))}'",
                 where=where,
                 help=FOLLOW_LINKS,
                 code="include-outside",
             )
         if not is_folder:
             raise ComArmorError(
-                f"the package {quoted(package)} ships no profiles: there is no folder '{path_text(str(place))}'",
+                f"the package {quote(package)} ships no profiles: there is no folder '{path_text(str(place))}'",
                 where=where,
                 help=self._instead(package, prefix),
                 code="package-without-profiles",
@@ -176,7 +176,7 @@ class InstalledPackages:
         for prefix in self.prefixes:
             if not _is_absolute(prefix):
                 raise ComArmorError(
-                    f"{SEARCH_PATH} has the relative path {quoted(prefix, 200)}, expected absolute ones only",
+                    f"{SEARCH_PATH} has the relative path {quote(prefix, 200)}, expected absolute ones only",
                     where=where,
                     help="what a package ships must not depend on the current folder; the setup files of ROS 2 comply",
                     code="package-prefix",
@@ -188,7 +188,7 @@ class InstalledPackages:
                 place = f"'{path_text(str(error.filename))}'"
                 raise ComArmorError(read_failure(error, place), where=where, code="unreadable") from None
         raise ComArmorError(
-            f"the package {quoted(package)} is not installed",
+            f"the package {quote(package)} is not installed",
             where=where,
             help=self._near(package),
             code="package-unknown",
@@ -198,7 +198,7 @@ class InstalledPackages:
         if not self.prefixes:
             return f"{SEARCH_PATH} is not set: source the setup file of your ROS 2 workspace"
         known = sorted({name for prefix in self.prefixes for name in _names(prefix)})
-        prefixes = counted(len(self.prefixes), "prefix")
+        prefixes = quantity(len(self.prefixes), "prefix")
         source = f"source the setup file of the workspace that has it; {SEARCH_PATH} lists {prefixes}"
         return did_you_mean(package, known, source)
 

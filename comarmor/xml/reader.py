@@ -15,7 +15,7 @@ from xml.parsers import expat  # nosec - every DOCTYPE is refused, so there are 
 from lxml import etree
 
 from comarmor.errors import ComArmorError, Origin
-from comarmor.text import quoted
+from comarmor.text import quote
 from comarmor.values import dataclass
 
 XINCLUDE = "http://www.w3.org/2001/XInclude"
@@ -202,7 +202,7 @@ class _Scanner:
             ) from None
         except (LookupError, UnicodeError, ValueError) as error:
             raise ComArmorError(
-                f"the encoding of the file is not usable: {quoted(str(error))}",
+                f"the encoding of the file is not usable: {quote(str(error))}",
                 where=self.at(1),
                 help="save it as UTF-8",
                 code="xml-encoding",

@@ -15,7 +15,7 @@ from urllib.parse import unquote, urlsplit
 
 from comarmor.errors import ComArmorError, Origin
 from comarmor.regex import lazy_regex
-from comarmor.text import did_you_mean, quoted
+from comarmor.text import did_you_mean, quote
 from comarmor.values import dataclass
 
 FOLLOW_LINKS = "--trust-links follows it, e.g. in what 'colcon build --symlink-install' made"
@@ -64,7 +64,7 @@ def resolve(folder: SandboxedFolder, relative: str, where: Origin) -> Path:
         raise ComArmorError(read_failure(error, "the file"), where=where, code="unreadable") from None
     if outside or not (folder.trusts_links or real.is_relative_to(folder.real)):
         raise ComArmorError(
-            f"{quoted(relative, 200)} is outside of the policy's folder {quoted(path_text(folder.shown), 200)}",
+            f"{quote(relative, 200)} is outside of the policy's folder {quote(path_text(folder.shown), 200)}",
             where=where,
             help=FOLLOW_LINKS
             if folder.package and not outside
@@ -182,14 +182,14 @@ def package_path(href: str, where: Origin) -> tuple[str, str] | None:
     package, _, rest = href.removeprefix(PACKAGE).partition("/")
     if not is_package_name(package):
         raise ComArmorError(
-            f"{quoted(package)} is not the name of a package",
+            f"{quote(package)} is not the name of a package",
             where=where,
             help="write package://PACKAGE/FILE.xml; a name has letters, digits, '_' and '-', a letter or digit first",
             code="include-href",
         )
     if not rest:
         raise ComArmorError(
-            f"the href {quoted(href)} of xi:include names no file",
+            f"the href {quote(href)} of xi:include names no file",
             where=where,
             help=f"write {PACKAGE}{package}/FILE.xml; 'keymint plugins' lists the files that packages ship",
             code="include-href",
@@ -212,14 +212,14 @@ def checked_path(path: str, where: Origin) -> str:
     normal = posixpath.normpath(path)
     if normal.split("/", 1)[0] == "..":
         raise ComArmorError(
-            f"the path {quoted(path, 200)} leads out of the package's folder of profiles",
+            f"the path {quote(path, 200)} leads out of the package's folder of profiles",
             where=where,
             help="a package ships its profiles in share/PACKAGE/keymint/comarmor.d; name a file below it",
             code="include-outside",
         )
     if not all(map(_SEGMENT.fullmatch, normal.split("/"))) or not normal.endswith(".xml"):
         raise ComArmorError(
-            f"the path {quoted(path, 200)} of a package's file is not plain",
+            f"the path {quote(path, 200)} of a package's file is not plain",
             where=where,
             help="expected a path that ends in .xml, of letters, digits, '_', '.', '+' and '-', without hidden parts",
             code="include-href",
@@ -244,11 +244,11 @@ def path_of(href: str, where: Origin) -> str:
     path = unquote(href)
     if not path or "\0" in path or parts is None or parts.scheme or parts.netloc or parts.query or parts.fragment:
         raise ComArmorError(
-            f"the href {quoted(href)} of xi:include is not a relative path of a file", where=where, code="include-href"
+            f"the href {quote(href)} of xi:include is not a relative path of a file", where=where, code="include-href"
         )
     if posixpath.isabs(path):
         raise ComArmorError(
-            f"xi:include of the absolute path {quoted(path)}, expected one relative to the including file",
+            f"xi:include of the absolute path {quote(path)}, expected one relative to the including file",
             where=where,
             help="copy the file into the policy's folder, and include the copy",
             code="include-outside",

@@ -13,7 +13,7 @@ from lxml import etree
 
 from comarmor.errors import ComArmorError, Diagnostic, Origin
 from comarmor.regex import lazy_regex
-from comarmor.text import did_you_mean, quoted
+from comarmor.text import did_you_mean, quote
 from comarmor.values import dataclass
 from comarmor.xml.reader import XINCLUDE, line_in, parse
 
@@ -202,7 +202,7 @@ def _attribute(match: re.Match[str], vocabulary: SchemaVocabulary, _e: etree._El
 
 def _enumeration(match: re.Match[str], *_: object) -> tuple[str, str]:
     values = [value.strip("'") for value in match[4].split(", ")]
-    return f"{_node(match)} is {quoted(match[3])}, expected {' or '.join(values)}", did_you_mean(match[3], values)
+    return f"{_node(match)} is {quote(match[3])}, expected {' or '.join(values)}", did_you_mean(match[3], values)
 
 
 def _length(match: re.Match[str], *_: object) -> tuple[str, str]:
@@ -213,7 +213,7 @@ def _length(match: re.Match[str], *_: object) -> tuple[str, str]:
 
 
 def _bound(match: re.Match[str], *_: object) -> tuple[str, str]:
-    return f"{_node(match)} is {quoted(match[4])}, expected {match[5]} or {'more' if match[3] == 'min' else 'less'}", ""
+    return f"{_node(match)} is {quote(match[4])}, expected {match[5]} or {'more' if match[3] == 'min' else 'less'}", ""
 
 
 _QUOTED = lazy_regex(r"'([^']*)(?:'|\Z)")
@@ -245,7 +245,7 @@ _EXPLANATIONS: tuple[tuple[str, _Explanation], ...] = (
     ),
     (
         _NODE + r"(?:\[.+?\] The value )?'(.*)' is not (a valid .+|accepted .+)\.",
-        lambda match, *_: (f"{_node(match)} is {quoted(match[3])}, which is not {match[4]}", ""),
+        lambda match, *_: (f"{_node(match)} is {quote(match[3])}, which is not {match[4]}", ""),
     ),
 )
 """Patterns of libxml2's messages, and the function that words each. Groups: element, attribute, value, expected."""
@@ -257,7 +257,7 @@ def _explain(message: str, vocabulary: SchemaVocabulary, element: etree._Element
     for pattern, explanation in _EXPLANATIONS:
         if match := re.match(pattern, message, re.DOTALL):
             return explanation(match, vocabulary, element)
-    return _QUOTED.sub(lambda value: quoted(value[1]), " ".join(message.split())), ""
+    return _QUOTED.sub(lambda value: quote(value[1]), " ".join(message.split())), ""
 
 
 def _node(match: re.Match[str]) -> str:

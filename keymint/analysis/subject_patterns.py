@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from operator import itemgetter
 
 from comarmor.patterns.decision_lists import Witness
-from comarmor.patterns.glob import Glob, filled, literal, matches, normalise, parse, units
+from comarmor.patterns.glob import Glob, filled_text, literal, matches, normalise, parse, units
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.possible_names import matches_ros_name
 from comarmor.patterns.relations import TooComplexError, covers, intersection
@@ -162,7 +162,7 @@ def _deeper(pattern: Glob, shallow: str) -> str | None:
 
 def _filled(pattern: Glob, filling: str) -> str:
     """Return a pattern with each star replaced by a text, and each set of characters by one of them."""
-    return filled(pattern, filling, lambda members: next((char for char in _PREFERRED if char in members), ""))
+    return filled_text(pattern, filling, lambda members: next((char for char in _PREFERRED if char in members), ""))
 
 
 def _with_overlaps(wild: Sequence[Glob], given_up: list[str]) -> list[Glob]:

@@ -184,7 +184,7 @@ _MAYBE = lazy_regex(r"(?<=_)(?=[A-Za-z]*[0-9])[A-Za-z0-9]+(?![A-Za-z0-9])|(?<=[A
 """A part of a name with a digit: between ``_``, or the digits that a segment ends with."""
 
 
-def generalised(text: str, kind: str) -> tuple[str, str]:
+def general_expression(text: str, kind: str) -> tuple[str, str]:
     """Return an expression of a name in which ``*`` stands for the parts that are made at run time, and what these are.
 
     Args:
@@ -205,10 +205,10 @@ def generalised(text: str, kind: str) -> tuple[str, str]:
 
 def is_generated(node: str) -> bool:
     """Tell whether the name of a node has a part that is made at run time."""
-    return bool(generalised(node, "ros_parameter")[1])
+    return bool(general_expression(node, "ros_parameter")[1])
 
 
-def differing(one: Graph, other: Graph) -> Iterator[Diagnostic]:
+def differing_names(one: Graph, other: Graph) -> Iterator[Diagnostic]:
     """Yield a note for names that only one of two records has, where a part with a digit may change at each start.
 
     Nothing follows from it: ``/arm_1`` and ``/arm_2`` may be two arms.
@@ -228,7 +228,7 @@ def differing(one: Graph, other: Graph) -> Iterator[Diagnostic]:
 
 
 def _named(edge: Edge) -> tuple[str, str, str, str]:
-    return edge.subject, edge.object.kind, edge.permission, generalised(edge.object.name, edge.object.kind)[0]
+    return edge.subject, edge.object.kind, edge.permission, general_expression(edge.object.name, edge.object.kind)[0]
 
 
 def _patterns(name: str) -> Iterator[str]:

@@ -55,7 +55,7 @@ def recognises(content: bytes) -> bool:
     return content.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] == b"{"
 
 
-def decoded(content: bytes, name: str, code: str) -> str:
+def decoded_text(content: bytes, name: str, code: str) -> str:
     """Return the text of a file.
 
     Args:
@@ -130,7 +130,7 @@ class _GraphReader:
 
     def __init__(self, name: str, content: bytes) -> None:
         self._name = name
-        self._text = decoded(content, name, "graph-invalid")
+        self._text = decoded_text(content, name, "graph-invalid")
         if sum(map(self._text.count, ",:[{")) > MAX_VALUES:
             raise self._error(f"the file has more than the {MAX_VALUES:,} values allowed", 0)
         try:

@@ -20,7 +20,7 @@ from lxml import etree
 from comarmor.data import locate
 from comarmor.errors import Diagnostic, Origin
 from comarmor.regex import lazy_regex
-from comarmor.text import did_you_mean, quoted
+from comarmor.text import did_you_mean, quote
 from comarmor.xml import reader, schema
 from comarmor.xml.reader import line
 from keymint.api import DomainRange
@@ -185,7 +185,7 @@ def file_in(files: Mapping[str, bytes], path: str, where: Origin, space: str) ->
     inside = normal_path(path, where)
     if inside not in files:
         raise KeymintError(
-            f"there is no file {quoted(path, 200)} in the {space}",
+            f"there is no file {quote(path, 200)} in the {space}",
             where=where,
             help=did_you_mean(inside, files, "create it, or correct the path"),
             code="file-missing",

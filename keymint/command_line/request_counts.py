@@ -17,7 +17,7 @@ from collections.abc import Iterator, Sequence
 
 from comarmor.errors import Defects, Diagnostic, Origin
 from comarmor.rules import KIND_OF
-from comarmor.text import counted, did_you_mean
+from comarmor.text import did_you_mean, quantity
 from keymint.api import Hint, graph_json
 from keymint.api.graph import Edge, Object
 from keymint.api.graph_json import legal_subject, legal_text
@@ -41,7 +41,7 @@ def load_hints(content: bytes, name: str) -> tuple[Hint, ...]:
     """
     if graph_json.recognises(content):
         return tuple(Hint(edge, 1) for edge in graph_json.load(content, name).edges)
-    rows = csv.reader(graph_json.decoded(content, name, _INVALID).splitlines(), strict=True)
+    rows = csv.reader(graph_json.decoded_text(content, name, _INVALID).splitlines(), strict=True)
     counts: Counter[Edge] = Counter()
     defects = Defects()
     try:
@@ -83,7 +83,7 @@ def _columns(header: Sequence[str], name: str) -> list[str]:
 
 def _counted(columns: Sequence[str], fields: Sequence[str], name: str, line: int) -> tuple[Edge, int]:
     if len(fields) != len(columns):
-        raise _error(name, line, f"has {counted(len(fields), 'field')} instead of {len(columns)}")
+        raise _error(name, line, f"has {quantity(len(fields), 'field')} instead of {len(columns)}")
     row = dict(zip(columns, fields, strict=True))
     subject, permission, text = (row[column].strip() for column in ("subject", "permission", "object"))
     if not legal_subject(subject):

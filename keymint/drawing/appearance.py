@@ -16,7 +16,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from enum import StrEnum
 
 from comarmor.regex import lazy_regex
-from comarmor.text import printable
+from comarmor.text import one_line
 from keymint.api.graph import EdgeOutcome, Object
 from keymint.drawing.labelled_graph import Label, LabelledEdge
 
@@ -61,7 +61,7 @@ def object_name(object_: Object, domain: int = 0) -> str:
     """Return an object's name with its partitions and domain: ``scan @ a, b (domain 3)``."""
     partitions = ", ".join(partition or "(empty)" for partition in object_.partitions)
     suffix = (f" @ {partitions}" if partitions else "") + (f" (domain {domain})" if domain else "")
-    return printable(object_.name + suffix)
+    return one_line(object_.name + suffix)
 
 
 def shorten(text: str, longest: int = _LONGEST) -> str:
@@ -103,7 +103,7 @@ def sentence(labelled: LabelledEdge, transports: Sequence[str]) -> str:
     layers = [("policy", labelled.policy), *zip(transports, labelled.transports, strict=True)]
     labels = "; ".join(f"{name}: {_label_text(label)}" for name, label in layers if label is not None)
     text = f"{edge.subject} {edge.permission} {object_name(edge.object, edge.domain)}"
-    return printable(text + (f" - {labels}" if labels else "") + (" (AUDIT)" if labelled.audit else ""))
+    return one_line(text + (f" - {labels}" if labels else "") + (" (AUDIT)" if labelled.audit else ""))
 
 
 def _label_text(label: Label) -> str:

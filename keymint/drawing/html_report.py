@@ -17,8 +17,8 @@ from typing import Any
 
 from markupsafe import Markup
 
-from comarmor.errors import Origin, cited
-from comarmor.text import counted, printable
+from comarmor.errors import Origin, citation
+from comarmor.text import one_line, quantity
 from keymint.api.graph import DomainObject, EdgeOutcome
 from keymint.drawing.appearance import KINDS, OUTCOMES, Theme, object_name, style_sheet
 from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph, select_edges
@@ -48,13 +48,13 @@ def html_report(labelled: LabelledGraph, sources: Mapping[str, bytes], picture: 
     counts = Counter(row["outcome"] for row in listed)
     total = max(len(labelled.edges), *(matrix.edges for matrix in labelled.confusions), 0)
     context = {
-        "title": printable(labelled.title),
+        "title": one_line(labelled.title),
         "style": Markup(style),  # noqa: S704 - ours
         "script": Markup(script),  # noqa: S704 - ours
         "policy": f"default-src 'none'; style-src {_digest(style)}; script-src {_digest(script)}; "
         "base-uri 'none'; form-action 'none'",
-        "size": f"{counted(len(labelled.subjects), 'subject')}, {counted(len(page.objects), 'object')}, "
-        f"{counted(total, 'edge')}",
+        "size": f"{quantity(len(labelled.subjects), 'subject')}, {quantity(len(page.objects), 'object')}, "
+        f"{quantity(total, 'edge')}",
         "verdicts": [
             {"value": outcome, "words": words, "count": counts[outcome]}
             for outcome, words in OUTCOMES.items()
@@ -67,12 +67,12 @@ def html_report(labelled: LabelledGraph, sources: Mapping[str, bytes], picture: 
         "picture": Markup(draw(labelled, options, page.number)) if labelled.edges else "",  # noqa: S704 - escaped
         "groups": list(_groups(labelled, options, page)) if labelled.edges else [],
         "subjects": [
-            {"name": printable(name), "number": page.number(name), "rows": rows[name]} for name in labelled.subjects
+            {"name": one_line(name), "number": page.number(name), "rows": rows[name]} for name in labelled.subjects
         ],
         "objects": page.object_rows(),
         "unlisted": total - len(listed),
         "sources": [
-            {"name": printable(name), "at": at, "lines": [*_lines(content)]}
+            {"name": one_line(name), "at": at, "lines": [*_lines(content)]}
             for at, (name, content) in enumerate(sources.items())
         ],
     }
@@ -85,7 +85,7 @@ def _groups(labelled: LabelledGraph, options: DrawingOptions, page: _Page) -> It
         if len(members) > 1:
             part = replace(select_edges(labelled, subjects=set(members)), title=name)
             drawn = draw(part, replace(options, group=False), page.number)
-            yield {"name": printable(name), "number": page.number(name), "picture": Markup(drawn)}  # noqa: S704 - escaped
+            yield {"name": one_line(name), "number": page.number(name), "picture": Markup(drawn)}  # noqa: S704 - escaped
 
 
 def _text(name: str) -> str:
@@ -98,7 +98,7 @@ def _digest(text: str) -> str:
 
 def _lines(content: bytes) -> Iterator[str]:
     for line in content.decode("utf-8", "replace").split("\n"):
-        yield "\t".join(printable(part) for part in line.removesuffix("\r").split("\t"))
+        yield "\t".join(one_line(part) for part in line.removesuffix("\r").split("\t"))
 
 
 class _Page:
@@ -107,7 +107,7 @@ class _Page:
     def __init__(self, labelled: LabelledGraph, sources: Sequence[str], options: DrawingOptions) -> None:
         self._labelled = labelled
         self._sources = {name: at for at, name in enumerate(sources)}
-        self.transports = [printable(name) for name in labelled.transports]
+        self.transports = [one_line(name) for name in labelled.transports]
         self.objects: list[DomainObject] = sorted({one.edge.domain_object for one in labelled.edges})
         self.groups = simplify(labelled, options).groups
         keys: list[NodeKey] = [*labelled.subjects, *self.objects, *self.groups]
@@ -133,9 +133,9 @@ class _Page:
             "outcome": outcome,
             "words": OUTCOMES[outcome],
             "wrong": outcome.false,
-            "subject": printable(edge.subject),
+            "subject": one_line(edge.subject),
             "subject_number": self.number(edge.subject),
-            "permission": printable(edge.permission),
+            "permission": one_line(edge.permission),
             "object": self._object(edge.domain_object),
             "audit": one.audit,
             "policy": self._label(one.policy),
@@ -148,7 +148,7 @@ class _Page:
         return {
             "allowed": label.allowed,
             "wrong": policy is not None and label.allowed != policy.allowed,
-            "reason": printable(label.reason),
+            "reason": one_line(label.reason),
             "links": list(self._links(label.where)) if label.where else [],
         }
 
@@ -157,7 +157,7 @@ class _Page:
         for place in (where, *where.chain):
             at = self._sources.get(place.file)
             target = "" if at is None else f"f{at}-{place.line}" if place.line else f"f{at}"
-            yield {"text": printable(cited(place.file, place.line)), "target": target}
+            yield {"text": one_line(citation(place.file, place.line)), "target": target}
 
     def _object(self, key: DomainObject) -> Mapping[str, Any]:
         domain, object_ = key
@@ -179,7 +179,7 @@ class _Page:
             counts[key]["wrong" if outcome.false else "denied" if outcome is EdgeOutcome.DENY else "other"] += 1
             if outcome not in {EdgeOutcome.DENY, EdgeOutcome.FALSE_NEGATIVE}:
                 subject = one.edge.subject
-                allowed[key].append((self.number(subject), printable(subject), printable(one.edge.permission)))
+                allowed[key].append((self.number(subject), one_line(subject), one_line(one.edge.permission)))
         return [
             {
                 **self._object(key),

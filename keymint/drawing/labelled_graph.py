@@ -346,4 +346,4 @@ def _witness(expression: Object) -> Object:
 def _member(expression: str) -> str:
     """Return a text that an expression matches; for a literal itself, without ``\\`` escapes."""
     pattern = glob.parse(expression)
-    return glob.filled(pattern, "any__name", lambda members: "x" if "x" in members else next(members.chars()))
+    return glob.filled_text(pattern, "any__name", lambda members: "x" if "x" in members else next(members.chars()))

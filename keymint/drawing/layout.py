@@ -14,7 +14,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from itertools import accumulate
 
-from comarmor.text import printable
+from comarmor.text import one_line
 from comarmor.values import dataclass
 from keymint.api.graph import DomainObject, Object
 from keymint.drawing.appearance import KINDS, columns, directions, object_name, shorten
@@ -139,7 +139,7 @@ def lay_out(
     }
     tops = _tops(stacks, heights, edges)
 
-    labels: dict[NodeKey, str] = {subject: shorten(printable(subject)) for subject in subjects}
+    labels: dict[NodeKey, str] = {subject: shorten(one_line(subject)) for subject in subjects}
     labels |= {key: shorten(names.get(key[1]) or object_name(key[1], key[0])) for key in objects}
     gap = min(_WIDEST, max(_NARROWEST, 60.0 + 8.0 * len(edges) ** 0.75))
     boxes: dict[NodeKey, NodeBox] = {}
@@ -162,7 +162,7 @@ def _kind(key: NodeKey) -> str:
 
 def _title(key: NodeKey) -> str:
     if isinstance(key, str):
-        return printable(key)
+        return one_line(key)
     return f"{object_name(key[1], key[0])} ({KINDS[key[1].kind]})"
 
 

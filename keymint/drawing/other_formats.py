@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from comarmor.text import printable
+from comarmor.text import one_line
 from keymint.api.graph import EdgeOutcome, Object
 from keymint.api.plugin_loader import how_to_add
 from keymint.drawing.appearance import FONTS, LIGHT, directions, edge_classes, object_name, sentence
@@ -51,12 +51,12 @@ def dot(labelled: LabelledGraph, options: DrawingOptions | None = None) -> bytes
 
 def _subject(name: str, drawn: SimplifiedGraph) -> str:
     common = drawn.marks.get(name)
-    return printable(name) + (f" (+{len(common)} common)" if common else "")
+    return one_line(name) + (f" (+{len(common)} common)" if common else "")
 
 
 def _quoted(text: str) -> str:
     r"""Return a quoted string of DOT; an unescaped ``\`` starts an escape in a label."""
-    return '"' + printable(text).replace("\\", "\\\\").replace('"', '\\"') + '"'
+    return '"' + one_line(text).replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
 def _node(kind: str, label: str) -> str:

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from enum import StrEnum
 
-from comarmor.text import counted, printable
+from comarmor.text import one_line, quantity
 from comarmor.values import dataclass
 from keymint.api.graph import DomainObject, EdgeOutcome
 from keymint.drawing.appearance import KINDS, Theme
@@ -126,7 +126,7 @@ def _groups(subjects: Sequence[str]) -> Mapping[str, tuple[str, ...]]:
         if len(groups) <= GROUP_FROM:
             break
     return {
-        members[0] if len(members) == 1 else f"{prefix}… ({counted(len(members), 'subject')})": tuple(members)
+        members[0] if len(members) == 1 else f"{prefix}… ({quantity(len(members), 'subject')})": tuple(members)
         for prefix, members in groups.items()
     }
 
@@ -176,7 +176,7 @@ def folded_name(members: Sequence[DomainObject]) -> str:
     """Return the label of folded objects: ``/talker/… (6 services)``."""
     first = members[0][1]
     noun = KINDS[first.kind]
-    return printable(f"{namespace(first.name)}… ({len(members)} {noun}{'' if noun.endswith('s') else 's'})")
+    return one_line(f"{namespace(first.name)}… ({len(members)} {noun}{'' if noun.endswith('s') else 's'})")
 
 
 # -- left out edges --------------------------------------------------------------------------------------------------

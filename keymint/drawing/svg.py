@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache
 from typing import TYPE_CHECKING
 
-from comarmor.text import counted, printable
+from comarmor.text import one_line, quantity
 from keymint.api.graph import EdgeOutcome
 from keymint.drawing.appearance import (
     INWARD,
@@ -112,8 +112,8 @@ def draw(labelled: LabelledGraph, options: DrawingOptions, number: NodeNumber | 
         environment()
         .get_template("picture.svg.j2")
         .render(
-            title=printable(labelled.title),
-            heading=shorten(printable(labelled.title), int(width / (CHARACTER * 15 / 12))),
+            title=one_line(labelled.title),
+            heading=shorten(one_line(labelled.title), int(width / (CHARACTER * 15 / 12))),
             subtitle=subtitle,
             subtitles=[(text, MARGIN + 34 + at * LINE) for at, text in enumerate(subtitles)],
             style=None if number else style_sheet(options.theme),
@@ -153,7 +153,7 @@ def _parts(drawn: SimplifiedGraph, split: Split) -> Iterator[tuple[str, tuple[La
     for one in drawn.edges:
         edges[part_of[one.edge.subject]].append(one)
     for part, subjects in members.items():
-        yield printable(part), tuple(edges[part]), tuple(subjects)
+        yield one_line(part), tuple(edges[part]), tuple(subjects)
 
 
 def _placed(panels: Sequence[Panel], most: float) -> tuple[list[tuple[Panel, float, float]], float, float]:
@@ -178,14 +178,14 @@ def _placed(panels: Sequence[Panel], most: float) -> tuple[list[tuple[Panel, flo
 def _subtitle(labelled: LabelledGraph, options: DrawingOptions, drawn: SimplifiedGraph) -> str:
     objects = {one.edge.domain_object for one in labelled.edges}
     sizes = ((labelled.subjects, "subject"), (objects, "object"), (labelled.edges, "edge"))
-    notes = [", ".join(counted(len(items), noun) for items, noun in sizes)]
+    notes = [", ".join(quantity(len(items), noun) for items, noun in sizes)]
     if labelled.transports:
         transports = labelled.transports if options.transport is None else [labelled.transports[options.transport]]
         which = transports[0] if len(transports) == 1 else "all transports"
         false = sum(one.outcome(options.transport).false for one in labelled.edges)
-        notes.append(f"{printable(which)} compared with the policy: {counted(false, 'mismatch')}")
+        notes.append(f"{one_line(which)} compared with the policy: {quantity(false, 'mismatch')}")
     if marks := sum(map(len, drawn.marks.values())):
-        notes.append(f"{counted(marks, 'common edge')} shown as marks")
+        notes.append(f"{quantity(marks, 'common edge')} shown as marks")
     if any(len(members) > 1 for members in drawn.groups.values()):
         notes.append("subjects are grouped by namespace")
     if any(len(members) > 1 for members in drawn.members.values()):
@@ -204,7 +204,7 @@ def _box(box: NodeBox, labelled: LabelledGraph, drawn: SimplifiedGraph, number: 
     members: Sequence[NodeKey] = drawn.groups[key] if isinstance(key, str) else drawn.members[key]
     title = box.title
     if len(members) > 1:
-        title = "\n".join(printable(one) if isinstance(one, str) else object_name(one[1], one[0]) for one in members)
+        title = "\n".join(one_line(one) if isinstance(one, str) else object_name(one[1], one[0]) for one in members)
     pattern = not isinstance(key, str) and key[1] in labelled.patterns
     group = isinstance(key, str) and len(members) > 1
     common = [sentence(one, labelled.transports) for one in drawn.marks.get(key, ())] if isinstance(key, str) else []

@@ -46,7 +46,7 @@ from keymint.names import subject_of
 from keymint.pki import keys
 from keymint.stages import identities
 from keymint.stages.documents import built_documents
-from keymint.stages.proof.trust_anchors import unvouched
+from keymint.stages.proof.trust_anchors import unvouched_files
 from keymint.store.changes import file_mode
 from keymint.view.stamps import digest
 from keymint.workspace import installed_enclaves
@@ -119,7 +119,7 @@ def examine(session: Session, loaded: LoadedEnclave, keyring: Keyring) -> tuple[
     )
     known = {(each.code, each.where) for each in found}
     try:
-        more = dict.fromkeys(unvouched(session, package))
+        more = dict.fromkeys(unvouched_files(session, package))
         foreign = tuple(each for each in more if (each.code, each.where) not in known)
     except KeymintError:  # of documents of several packages, which are reported
         foreign = ()

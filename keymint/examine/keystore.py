@@ -14,7 +14,7 @@ from dataclasses import replace
 from cryptography import x509
 
 from comarmor.errors import Diagnostic, Origin
-from comarmor.text import counted, first_few
+from comarmor.text import first_few, quantity
 from keymint.api import LoadedPolicy, Phase
 from keymint.authority.authority_files import issuers
 from keymint.authority.rollover import staged_session
@@ -90,7 +90,7 @@ def register_findings(session: Session) -> Iterator[Diagnostic]:
             help_ = f"remove the enclave; 'keymint renew --rekey {name}' makes a new key and certificate"
             yield Diagnostic.error("certificate-revoked", message, where, help_, package.subject)
         else:
-            wanted = certificate_forms.cut(package.identity.validity, issuer)
+            wanted = certificate_forms.validity_within(package.identity.validity, issuer)
             if (first, last) != (wanted.not_before, wanted.not_after):
                 text = f"is in force from {iso_time(first)} to {iso_time(last)}, which is not what the sources ask for"
                 yield Diagnostic.warning("certificate-drift", text, where, issue, package.subject)
@@ -114,7 +114,7 @@ def lists_in_force(session: Session) -> Iterator[Diagnostic]:
             continue
         if lacking := revoked.keys() - {each.serial for each in listed}:
             what = "is missing" if content is None else "is not the latest revocation list"
-            message = f"{what}: {counted(len(lacking), 'revoked certificate')} would be accepted"
+            message = f"{what}: {quantity(len(lacking), 'revoked certificate')} would be accepted"
             yield Diagnostic.error("revocation-list-outdated", message, where, _INSTALL_LIST)
         if content is not None and not revocation_lists.problem(content, issuer):
             yield from _living(session, content, where)

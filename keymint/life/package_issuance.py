@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from comarmor.errors import Diagnostic, Origin
-from comarmor.text import counted, did_you_mean
+from comarmor.text import did_you_mean, quantity
 from comarmor.values import dataclass
 from keymint.api import Issuance
 from keymint.errors import KeymintError
@@ -202,7 +202,7 @@ def _limits(
         yield Diagnostic.warning(
             "generation-none",
             f"the subject name has no generation: permissions that were signed before {fit}"
-            + (f" [{counted(len(same), 'package')}]" if len(same) > 1 else ""),
+            + (f" [{quantity(len(same), 'package')}]" if len(same) > 1 else ""),
             package.grant.defaults_origin or session.package_marker(same[0]),
             "write {unique} into both subject names (--subject-format unique), or renew with --rekey and another "
             "identity authority",

@@ -71,7 +71,9 @@ def enclave_terms(session: Session, name: str, *, as_recorded: bool = False) -> 
         if certificate is not None:
             first, last = certificates.period(certificate)
         else:  # cut to its issuer's, and in whole seconds
-            issued = certificate_forms.cut(Validity(each.first, each.last), _authorities_here(session)[each.issuer])
+            issued = certificate_forms.validity_within(
+                Validity(each.first, each.last), _authorities_here(session)[each.issuer]
+            )
             first, last = issued.not_before, issued.not_after
         terms.append(replace(each, first=first, last=last))
         if listed := list_of(session, each.issuer):

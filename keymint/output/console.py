@@ -14,7 +14,7 @@ from datetime import datetime
 from typing import IO, Any
 
 from comarmor.errors import Diagnostic, Severity
-from comarmor.text import counted, encodable, printable, printable_lines
+from comarmor.text import encodable_value, one_line, printable_lines, quantity
 from comarmor.values import dataclass
 from keymint.host.streams_and_signals import Output
 from keymint.output.report import Report, report_json
@@ -99,7 +99,7 @@ class Console:
     def show(self, report: Report) -> None:
         """Show a report as JSON, or its steps and diagnostics as text."""
         if self._json:
-            document = json.dumps(encodable(report_json(report)), indent=2, ensure_ascii=True)
+            document = json.dumps(encodable_value(report_json(report)), indent=2, ensure_ascii=True)
             self._streams.out.write(f"{document}\n")
             return
         for diagnostic in report.diagnostics:
@@ -125,11 +125,11 @@ class Console:
         label = _paint(f"{diagnostic.severity}:", _COLOURS[diagnostic.severity], colour=self._streams.colour_err)
         about = f" [{diagnostic.code}]" if self._verbosity > 0 else ""
         hint = f" ({diagnostic.help})" if diagnostic.help else ""
-        self._say_err(f"{printable(place)}{label} {printable(diagnostic.message + hint + about)}")
+        self._say_err(f"{one_line(place)}{label} {one_line(diagnostic.message + hint + about)}")
 
     def line(self, text: str = "") -> None:
         """Show a line of a result unless quiet or JSON, with unprintable characters escaped."""
-        self._line(printable(text))
+        self._line(one_line(text))
 
     def lines(self, texts: Iterable[str]) -> None:
         """Show lines of a result; see :meth:`line`."""
@@ -181,7 +181,7 @@ class Console:
             name = step.package or step.detail
             detail = f"  ({step.detail})" if step.detail and step.package else ""
             label = _paint(f"{step.action:9}", "32", colour=self._streams.colour_out)
-            self._line(f"{label} {printable(f'{step.stage:11} {name}{detail}')}")
+            self._line(f"{label} {one_line(f'{step.stage:11} {name}{detail}')}")
             if self._verbosity > 0 and report.workspace:
                 for change in step.changes:
                     for file in change.written:
@@ -215,12 +215,12 @@ def _cell(value: Any) -> str:
             return f"{value:%Y-%m-%d}"
         case tuple() | list():
             return " ".join(map(_cell, value))
-    return printable(str(value))
+    return one_line(str(value))
 
 
 def _counted(steps: Any) -> str:
     packages = {step.package for step in steps if step.package and step.stage != "authorities"}
-    return counted(len(packages), "package") if packages else "everything"
+    return quantity(len(packages), "package") if packages else "everything"
 
 
 def _gain(sizes: Sequence[DocumentSize]) -> str:
@@ -228,7 +228,7 @@ def _gain(sizes: Sequence[DocumentSize]) -> str:
     now, plain = sum(size.bytes for size in sizes), sum(size.plain_bytes for size in sizes)
     if now == plain:
         return ""
-    files = f"{', '.join(sorted({size.file for size in sizes}))} of {counted(len(sizes), 'package')}"
+    files = f"{', '.join(sorted({size.file for size in sizes}))} of {quantity(len(sizes), 'package')}"
     return f"{files}: {now:,} bytes, {plain:,} in plain form ({(now - plain) / plain:+.0%})"
 
 

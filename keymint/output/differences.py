@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 from comarmor.errors import Origin, Spot
 from comarmor.regex import lazy_regex
-from comarmor.text import counted
+from comarmor.text import quantity
 from keymint.analysis.permission_changes import PermissionChange
 from keymint.analysis.policy_diff import SubjectChanges
 
@@ -35,7 +35,7 @@ def summary(differences: Sequence[SubjectChanges]) -> str:
     gaining = sum(any(change.gains and not change.unknown for change in each.changes) for each in differences)
     losing = sum(any(not change.gains and not change.unknown for change in each.changes) for each in differences)
     unknown = sum(any(change.unknown for change in each.changes) for each in differences)
-    gains = f"{counted(gaining, 'subject')} {'gains' if gaining == 1 else 'gain'}"
+    gains = f"{quantity(gaining, 'subject')} {'gains' if gaining == 1 else 'gain'}"
     line = f"{gains}, {losing or 'none'} {'loses' if losing == 1 else 'lose'}"
     return line + (f"; not decided for {unknown}" if unknown else "")
 

@@ -6,8 +6,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
-from comarmor.errors import Diagnostic, Severity, cited
-from comarmor.text import counted
+from comarmor.errors import Diagnostic, Severity, citation
+from comarmor.text import quantity
 from keymint.api.graph import Edge, EdgeOutcome
 from keymint.ir import Rule
 from keymint.names import name_of
@@ -53,7 +53,7 @@ def document_reason(mismatch: Mismatch) -> str:
     """Return the place in the enclave's document, the transport's reason, and the deviation that explains it."""
     document, deviation = mismatch.document, mismatch.verdict.deviation
     deviates = f"; deviates from the standard: {deviation}" if deviation else ""
-    return f"{cited(document.file, document.line)}: {mismatch.reason or 'no reason is given'}{deviates}"
+    return f"{citation(document.file, document.line)}: {mismatch.reason or 'no reason is given'}{deviates}"
 
 
 def verb_of(allowed: bool, *, many: bool = False) -> str:
@@ -116,7 +116,7 @@ def diagnostics(comparisons: Sequence[EdgeComparison]) -> Iterator[Diagnostic]:
         if comparison.omitted:
             yield Diagnostic.warning(
                 "findings-omitted",
-                f"{counted(comparison.omitted, 'more mismatch')} on {comparison.transport} not listed",
+                f"{quantity(comparison.omitted, 'more mismatch')} on {comparison.transport} not listed",
                 None,
                 "raise --limit, or verify fewer packages at a time",
             )
@@ -174,5 +174,5 @@ def _case(comparison: EdgeComparison, subject: str) -> JUnitCase:
     lines = [
         mismatch_text([comparison.transport], each) for each in comparison.findings if each.edge.subject == subject
     ]
-    failure = "verify", f"{counted(count, 'mismatch')} between policy and transport"
+    failure = "verify", f"{quantity(count, 'mismatch')} between policy and transport"
     return replace(case, failure=failure, details="\n".join(lines) or "not listed: there are too many mismatches")

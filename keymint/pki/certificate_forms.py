@@ -12,7 +12,7 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.x509.oid import ExtendedKeyUsageOID, ExtensionOID
 
 from comarmor.errors import Diagnostic, Origin
-from comarmor.text import quoted
+from comarmor.text import quote
 from comarmor.values import dataclass
 from keymint.api import CertificateSpec, Validity
 from keymint.errors import KeymintError
@@ -107,7 +107,7 @@ def _hash(spec: CertificateSpec) -> _Hash:
     return HASHES[name]
 
 
-def cut(validity: Validity, issuer: x509.Certificate | None) -> Validity:
+def validity_within(validity: Validity, issuer: x509.Certificate | None) -> Validity:
     """Return a validity, cut to the issuer's and to whole seconds (RFC 5280, 4.1.2.5); it may be empty."""
     first = validity.not_before.astimezone(UTC).replace(microsecond=0)
     last = validity.not_after.astimezone(UTC).replace(microsecond=0)
@@ -117,16 +117,16 @@ def cut(validity: Validity, issuer: x509.Certificate | None) -> Validity:
 
 
 def checked_validity(validity: Validity, issuer: x509.Certificate | None, where: Origin) -> Validity:
-    """Return a validity that :func:`cut` cut.
+    """Return a validity that :func:`validity_within` cut.
 
     Raises:
         KeymintError: it is empty.
     """
-    clamped = cut(validity, issuer)
+    clamped = validity_within(validity, issuer)
     if clamped.not_before >= clamped.not_after:
         beyond = f", within the validity of its issuer {to_text(issuer.subject)!r}" if issuer is not None else ""
         raise KeymintError(
-            f"the validity is empty: {_period(cut(validity, None))}{beyond}",
+            f"the validity is empty: {_period(validity_within(validity, None))}{beyond}",
             where=where,
             help="change its dates, or renew the issuer",
             code="validity-empty",
@@ -136,7 +136,7 @@ def checked_validity(validity: Validity, issuer: x509.Certificate | None, where:
 
 def _clamp(spec: CertificateSpec, issuer: x509.Certificate | None) -> tuple[Validity, tuple[Diagnostic, ...]]:
     """Return the validity of a certificate, and a warning if it is not the one that was requested."""
-    requested, clamped = cut(spec.validity, None), checked_validity(spec.validity, issuer, spec.origin)
+    requested, clamped = validity_within(spec.validity, None), checked_validity(spec.validity, issuer, spec.origin)
     if clamped == requested:
         return clamped, ()
     warning = Diagnostic.warning(
@@ -184,7 +184,7 @@ def _extensions(spec: CertificateSpec, context: extensions.Context, *, authority
             values[oid] = (critical, value)
         if problem := _conflict(value, critical, authority=authority):
             raise KeymintError(
-                f"{extension.name} = {quoted(extension.value, 80)} {problem}",
+                f"{extension.name} = {quote(extension.value, 80)} {problem}",
                 where=extension.origin,
                 help="leave it out, or correct it" if authority else "leave it out for the default",
                 code="extension-conflict",

@@ -15,7 +15,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.regex import lazy_regex
-from comarmor.text import quoted
+from comarmor.text import quote
 from comarmor.values import dataclass
 from keymint.api import CertificateSpec
 from keymint.errors import KeymintError
@@ -350,7 +350,7 @@ def _issue(
         _ = certificate.extensions if spec.extensions else ()
     except ValueError:  # a dotted OID that the library knows, with a value in another syntax
         raise KeymintError(
-            f"an extension of {quoted(spec.subject_name, 80)} does not have the syntax of its OID",
+            f"an extension of {quote(spec.subject_name, 80)} does not have the syntax of its OID",
             where=spec.origin,
             help="correct the value after DER:",
             code="extension-invalid",

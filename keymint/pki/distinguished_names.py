@@ -17,7 +17,7 @@ from cryptography.x509.oid import NameOID
 
 from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
-from comarmor.text import did_you_mean, quoted
+from comarmor.text import did_you_mean, quote
 from keymint.errors import KeymintError
 
 MAX_COMMON_NAME = 64
@@ -167,7 +167,7 @@ def unique_suffix(subject: str, generation: int = 0) -> str:
 
 
 def _invalid(text: str, problem: str, help_: str = "") -> KeymintError:
-    message = f"{quoted(text, 120)} is not a subject name: {problem}"
+    message = f"{quote(text, 120)} is not a subject name: {problem}"
     return KeymintError(message, help=help_, code="name-invalid")
 
 
@@ -178,7 +178,7 @@ def _pairs(text: str) -> Iterator[tuple[str, str]]:
         match = _TYPE_THEN_EQUALS.match(text, position)
         if match is None:
             rest = text[position:].strip()
-            problem = f"no attribute type and '=' in {quoted(rest, 60)}" if rest else "it ends with a separator"
+            problem = f"no attribute type and '=' in {quote(rest, 60)}" if rest else "it ends with a separator"
             raise _invalid(text, problem, rf"{_EXAMPLE}; a comma inside a value is written \,")
         value, position = _value(text, match.end())
         yield match.group(1), value

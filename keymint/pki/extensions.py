@@ -13,7 +13,7 @@ from cryptography import x509
 from cryptography.x509.oid import AuthorityInformationAccessOID, ExtendedKeyUsageOID, ExtensionOID
 
 from comarmor.regex import lazy_regex
-from comarmor.text import did_you_mean, quoted
+from comarmor.text import did_you_mean, quote
 from comarmor.values import dataclass
 from keymint.api import Extension
 from keymint.errors import KeymintError
@@ -148,7 +148,7 @@ def parse(extension: Extension, context: Context) -> tuple[x509.ObjectIdentifier
         return oid, critical, x509.UnrecognizedExtension(oid, _raw(text))
     except ValueError as error:
         raise KeymintError(
-            f"{extension.name} = {quoted(extension.value, 80)}: {error}",
+            f"{extension.name} = {quote(extension.value, 80)}: {error}",
             where=extension.origin,
             help="the notation is that of OpenSSL's x509v3_config(5)",
             code="extension-invalid",
@@ -296,7 +296,7 @@ def _hex(text: str) -> bytes:
     try:
         content = bytes.fromhex(text.replace(":", ""))
     except ValueError:
-        raise ValueError(f"{quoted(text, 40)} is not hexadecimal") from None
+        raise ValueError(f"{quote(text, 40)} is not hexadecimal") from None
     if not content:
         raise ValueError("no hexadecimal digits")
     return content

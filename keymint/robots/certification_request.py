@@ -19,7 +19,7 @@ from cryptography.x509.oid import AttributeOID, NameOID
 
 from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
-from comarmor.text import quoted
+from comarmor.text import quote
 from comarmor.values import dataclass
 from keymint.errors import KeymintError
 from keymint.names import package_name, subject_of
@@ -134,7 +134,7 @@ def _name(claimed: object, where: Origin) -> str:
     try:
         return subject_of(package_name(text))
     except KeymintError:
-        raise _invalid(f"claims the name {quoted(text, 80)}, which no enclave can have", where) from None
+        raise _invalid(f"claims the name {quote(text, 80)}, which no enclave can have", where) from None
 
 
 def _signer(signature: bytes | None, block: bytes, where: Origin) -> str:

@@ -13,7 +13,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from comarmor.errors import Diagnostic, Origin, Severity, cited
+from comarmor.errors import Diagnostic, Origin, Severity, citation
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint import SPACES
@@ -134,7 +134,7 @@ class Run:
 
     def place(self, where: Origin | None) -> str:
         """Return a place as the user would type it, ``file:line``, or an empty text."""
-        return cited(self.typed(where.file), where.line) if where else ""
+        return citation(self.typed(where.file), where.line) if where else ""
 
     def as_typed(self, diagnostic: Diagnostic) -> Diagnostic:
         """Return a diagnostic with all paths as the user would type them."""

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Severity
-from comarmor.text import counted, did_you_mean, first_few
+from comarmor.text import did_you_mean, first_few, quantity
 from keymint import api
 from keymint.errors import ExitCode, KeymintError
 from keymint.ir import SubjectRules
@@ -341,7 +341,7 @@ def policy_changed(session: Session) -> tuple[Diagnostic, ...]:
     if not names:
         return ()
     shown = first_few([subject_of(name) for name in names])
-    message = f"{counted(len(names), 'source package')} out of date with the policy: {shown}"
+    message = f"{quantity(len(names), 'source package')} out of date with the policy: {shown}"
     return (Diagnostic.warning(CHANGED, message, None, "run 'keymint create --all'"),)
 
 

@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin
-from comarmor.text import counted
+from comarmor.text import quantity
 from comarmor.values import dataclass
 from keymint.api import Phase
 from keymint.authority import rollover
@@ -303,7 +303,7 @@ def _require_current(session: Session, names: Sequence[str], what: str, help_: s
     stale = [each for each in names if not install.is_current(session, each)]
     if stale:
         raise KeymintError(
-            f"{what} is not complete: {counted(len(stale), 'enclave')} not up to date, e.g. {subject_of(stale[0])}",
+            f"{what} is not complete: {quantity(len(stale), 'enclave')} not up to date, e.g. {subject_of(stale[0])}",
             where=session.workspace.origin(session.enclave_folder(stale[0])),
             help=help_,
             code="rollover-incomplete",

@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from comarmor.errors import Origin
-from comarmor.text import quoted
+from comarmor.text import quote
 from keymint.errors import KeymintError
 from keymint.store.changes import File, file_mode
 
@@ -130,7 +130,7 @@ def check_component(name: str, folder: str | Path) -> None:
         raise KeymintError(f"{name!r} is not a file name", where=Origin(str(folder)), code="confined")
     if len(os.fsencode(name)) > MAX_COMPONENT:
         raise KeymintError(
-            f"the name {quoted(name, 40)} is longer than {MAX_COMPONENT} bytes",
+            f"the name {quote(name, 40)} is longer than {MAX_COMPONENT} bytes",
             where=Origin(str(folder)),
             code="confined",
         )

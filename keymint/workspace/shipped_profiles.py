@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from comarmor.errors import Diagnostic
-from comarmor.text import counted, did_you_mean, first_few, quoted
+from comarmor.text import did_you_mean, first_few, quantity, quote
 from comarmor.xml.package_folders import InstalledPackages, ShippedFile
 from keymint.api import AcceptedPackage, LoadedPolicy
 from keymint.errors import ExitCode, KeymintError
@@ -116,7 +116,7 @@ def plan_acceptance(
     for name, wanted in named.items():
         if name not in by_package:
             raise KeymintError(
-                f"the policy includes no file of a package {quoted(name)}",
+                f"the policy includes no file of a package {quote(name)}",
                 help=did_you_mean(name, by_package, f"write package://{name}/FILE.xml into a profile first"),
                 code="package-unknown",
                 exit_code=ExitCode.USAGE,
@@ -125,7 +125,7 @@ def plan_acceptance(
         files = {each.path: each.sha256 for each in by_package[name]}
         if wanted and wanted != package_digest(files):
             raise KeymintError(
-                f"the package {quoted(name)} ships something else than what is to be accepted: its digest is "
+                f"the package {quote(name)} ships something else than what is to be accepted: its digest is "
                 f"{package_digest(files)}",
                 where=by_package[name][0].where,
                 help="leave out --accept-package to see what it would change now",
@@ -134,7 +134,7 @@ def plan_acceptance(
         accepted[name] = AcceptedPackage(files, before.follows_links or trust_links)
         changes = tuple(_copied(session, profile.package_copies / name, by_package[name], before))
         action = Action.UPDATED if changes or accepted[name] != before else Action.UNCHANGED
-        detail = f"accepted {counted(len(files), 'file')} of the package {name}"
+        detail = f"accepted {quantity(len(files), 'file')} of the package {name}"
         steps.append(Step(STAGE, "", action, changes, detail))
     return _with_lock(session, steps, accepted)
 
@@ -171,7 +171,7 @@ def plan_release(session: Session, policy: LoadedPolicy) -> Plan:
         if files:
             kept[name] = AcceptedPackage(files, each.follows_links)
         if dropped := [path for path in each.files if path not in files]:
-            detail = f"dropped {counted(len(dropped), 'file')} of the package {name}, no longer included"
+            detail = f"dropped {quantity(len(dropped), 'file')} of the package {name}, no longer included"
             steps.append(Step(STAGE, "", Action.UPDATED, tuple(_removed(session, name, dropped)), detail))
     return _with_lock(session, steps, kept)
 
@@ -204,7 +204,7 @@ def _refuse_edited_copies(session: Session, shipped: Sequence[ShippedFile]) -> N
         content = session.tree.read(copies / name / path)
         if content is not None and hashlib.sha256(content).hexdigest() != _accepted(session, name, path):
             raise KeymintError(
-                f"is not the copy of what was accepted of the package {quoted(name)}; an edit here grants nothing",
+                f"is not the copy of what was accepted of the package {quote(name)}; an edit here grants nothing",
                 where=session.workspace.origin(copies / name / path),
                 help="restore it, or remove it; to change rights, write them into the policy",
                 code="package-copy-edited",
@@ -218,9 +218,9 @@ def _diagnostics(shipped: Sequence[ShippedFile], found: Mapping[ShippedFile, str
         paths = first_few([each.path for each in own])
         known = any(found[each] for each in own)
         message = (
-            f"the package {quoted(name)} ships something else than what was accepted: {paths}"
+            f"the package {quote(name)} ships something else than what was accepted: {paths}"
             if known
-            else f"what the package {quoted(name)} ships was not accepted yet: {paths}"
+            else f"what the package {quote(name)} ships was not accepted yet: {paths}"
         )
         value = package_digest({each.path: each.sha256 for each in shipped if each.package == name})
         help_ = (

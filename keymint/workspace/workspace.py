@@ -11,7 +11,7 @@ from itertools import accumulate, permutations
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin
-from comarmor.text import quoted
+from comarmor.text import quote
 from comarmor.values import dataclass
 from keymint import SPACES
 from keymint.errors import ExitCode, KeymintError
@@ -237,7 +237,7 @@ def _has_own_defaults(workspace: Workspace, path: str) -> bool:
     if is_there and Path(target).is_relative_to(workspace.root):
         return True
     raise KeymintError(
-        f"is a link to {quoted(target, 200)}, which is {'outside the workspace' if is_there else 'no folder'}",
+        f"is a link to {quote(target, 200)}, which is {'outside the workspace' if is_there else 'no folder'}",
         where=Origin(path),
         help=f"remove it, so that {workspace.shown(shared)} applies, or put a copy of the right folder in its place",
         code="symlink-refused",

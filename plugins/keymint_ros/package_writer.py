@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.rules import KIND_OF, Effect
-from comarmor.text import quoted
+from comarmor.text import quote
 from comarmor.values import dataclass
 from comarmor.xml import reader
 from comarmor.xml.reader import line
@@ -180,8 +180,8 @@ class _Right:
     partitions: tuple[str, ...]
 
     def __str__(self) -> str:
-        inside = f" in {', '.join(map(quoted, self.partitions))}" if self.partitions else ""
-        return f"{self.effect} {self.permission} {quoted(self.expression)}{inside}"
+        inside = f" in {', '.join(map(quote, self.partitions))}" if self.partitions else ""
+        return f"{self.effect} {self.permission} {quote(self.expression)}{inside}"
 
 
 def _differences_of_2018(content: bytes, file: str, rules: SubjectRules) -> tuple[Diagnostic, ...]:

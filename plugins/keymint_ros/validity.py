@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 from comarmor.errors import Origin
-from comarmor.text import quoted
+from comarmor.text import quote
 from keymint.api import Validity
 from keymint.api.source_documents import place, text
 from keymint.errors import KeymintError
@@ -111,7 +111,7 @@ def date(element: etree._Element) -> datetime:
         found = None
     if found is None or found.year not in _YEARS:
         raise KeymintError(
-            f"{quoted(content, _LONGEST)} is not a date between the years {_YEARS.start} and {_YEARS[-1]}",
+            f"{quote(content, _LONGEST)} is not a date between the years {_YEARS.start} and {_YEARS[-1]}",
             where=place(element),
             help="write e.g. 2026-01-31T00:00:00, which means UTC, or with a zone 2026-01-31T00:00:00+01:00",
             code="date-invalid",
@@ -127,7 +127,7 @@ def _sum(start: datetime, content: str, where: Origin | None = None) -> datetime
         duration = isodate.parse_duration(content[:_LONGEST])
     except (ValueError, ArithmeticError):
         raise KeymintError(
-            f"{quoted(content, _LONGEST)} is not an ISO 8601 duration",
+            f"{quote(content, _LONGEST)} is not an ISO 8601 duration",
             where=where,
             help="write e.g. P1Y, P90D or PT12H",
             code="duration-invalid",

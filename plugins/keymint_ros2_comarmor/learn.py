@@ -18,9 +18,9 @@ from comarmor.errors import Diagnostic, Origin, Spot
 from comarmor.language.attachments import parts as subject_parts
 from comarmor.patterns.expression import matches
 from comarmor.rules import parts
-from comarmor.text import quoted
+from comarmor.text import quote
 from keymint.api import LearnedPolicy, LoadedPolicy
-from keymint.api.graph import Edge, Graph, generalised, is_generated
+from keymint.api.graph import Edge, Graph, general_expression, is_generated
 from keymint.errors import KeymintError
 from keymint_ros2_comarmor.policy_documents import (
     INCLUDE_SIZE,
@@ -110,7 +110,7 @@ def conflict(edge: Edge, decision: comarmor.Decision) -> Diagnostic | None:
         return None
     return Diagnostic.warning(
         "learn-denied",
-        f"this rule denies {edge.subject} the {edge.permission} on {quoted(edge.object.name)} that the graph has",
+        f"this rule denies {edge.subject} the {edge.permission} on {quote(edge.object.name)} that the graph has",
         denied.where.alone(),
         "narrow the rule, or leave it: a DENY wins over every ALLOW",
         edge.subject,
@@ -227,7 +227,7 @@ def _generated(edges: Iterable[Edge], subjects: Iterable[str]) -> Iterator[Diagn
     """Yield a note for each expression that matches more than its name, and for each subject with a generated name."""
     told: set[str] = set()
     for edge in edges:
-        expression, what = generalised(edge.object.name, edge.object.kind)
+        expression, what = general_expression(edge.object.name, edge.object.kind)
         if what and expression not in told:
             told.add(expression)
             message = f"{expression} stands for {edge.object.name}: {what} changes with each start"

@@ -23,7 +23,7 @@ from comarmor.patterns.expression import escape
 from comarmor.rules import PERMISSIONS, Effect, Rule
 from comarmor.values import dataclass
 from comarmor.xml.reader import XINCLUDE
-from keymint.api.graph import Edge, generalised
+from keymint.api.graph import Edge, general_expression
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.names import name_of
@@ -105,7 +105,7 @@ def literal(need: Need) -> Need:
 
 def expression(name: str, kind: str) -> str:
     """Return an attachment that matches a name, or its end from a ``/`` on, whatever is made at run time in it."""
-    return generalised(escape(name), kind)[0]
+    return general_expression(escape(name), kind)[0]
 
 
 def templates(need: Need, subject: str) -> tuple[Need, ...]:

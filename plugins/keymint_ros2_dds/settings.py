@@ -13,7 +13,7 @@ from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 from comarmor.errors import Defects, Diagnostic, Origin
-from comarmor.text import quoted
+from comarmor.text import quote
 from comarmor.values import dataclass
 from comarmor.xml.reader import line
 from keymint.api import (
@@ -185,7 +185,7 @@ def _governance(sources: PackageSources, part: SourcePart) -> DdsSettings:
     own = () if part.content is None else _read(part.content, part.file).iterfind("domain_access_rules/domain_rule")
     if part.defaults is None:
         raise KeymintError(
-            f"there is no file {quoted(part.defaults_file, 200)} in the package or its profile",
+            f"there is no file {quote(part.defaults_file, 200)} in the package or its profile",
             where=part.where,
             help="create it, or correct the path",
             code="file-missing",

@@ -16,7 +16,7 @@ from lxml import etree
 
 from comarmor.errors import ComArmorError, Diagnostic
 from comarmor.rules import Effect, is_subject
-from comarmor.text import quoted
+from comarmor.text import quote
 from keymint_ros2_sros2 import syntax
 
 _LONGEST_PATH = 1024
@@ -53,7 +53,7 @@ def _doubled(policy: syntax.SourcePolicy) -> Iterator[Diagnostic]:
         before = first.setdefault(enclave.path, enclave)
         if before is not enclave:
             message = (
-                f"the enclave {quoted(enclave.path)} stands here and at {before.where.alone()}: generate_artifacts uses"
+                f"the enclave {quote(enclave.path)} stands here and at {before.where.alone()}: generate_artifacts uses"
                 " the last one only, create_permission the first"
             )
             help_ = "write one <enclave>; --accept takes all of them together"
@@ -64,7 +64,7 @@ def _of_path(enclave: syntax.Sros2Enclave) -> Iterator[Diagnostic]:
     path = enclave.path
     if is_subject(path) and len(path) <= _LONGEST_PATH and max(map(len, path.split("/"))) <= _LONGEST_SEGMENT:
         return
-    message = f"{quoted(path)}: not a path of an enclave"
+    message = f"{quote(path)}: not a path of an enclave"
     help_ = (
         "expected '/' and segments of letters, digits and '_' that do not begin with a digit, without wildcards;"
         f" at most {_LONGEST_PATH:,} characters, and {_LONGEST_SEGMENT} between two '/'"
@@ -75,7 +75,7 @@ def _of_path(enclave: syntax.Sros2Enclave) -> Iterator[Diagnostic]:
 def _of_groups(enclave: syntax.Sros2Enclave) -> Iterator[Diagnostic]:
     if len(enclave.groups) > 1:
         message = (
-            f"the enclave {quoted(enclave.path)} has {len(enclave.groups)} <profiles>: SROS2 writes a grant for each,"
+            f"the enclave {quote(enclave.path)} has {len(enclave.groups)} <profiles>: SROS2 writes a grant for each,"
             " and participants use the first only"
         )
         help_ = "put all <profile> into one <profiles>; --accept takes all of them together"
@@ -84,12 +84,12 @@ def _of_groups(enclave: syntax.Sros2Enclave) -> Iterator[Diagnostic]:
 
 def _of_node(enclave: syntax.Sros2Enclave, node: syntax.RosNode) -> Iterator[Diagnostic]:
     if node.ns and not node.ns.startswith("/"):
-        message = f"the namespace {quoted(node.ns)} does not begin with '/': SROS2 writes topics that no node has"
-        help_ = f"write ns={quoted('/' + node.ns.strip())}; --accept reads it so"
+        message = f"the namespace {quote(node.ns)} does not begin with '/': SROS2 writes topics that no node has"
+        help_ = f"write ns={quote('/' + node.ns.strip())}; --accept reads it so"
         yield Diagnostic.error("sros2-namespace", message, node.where, help_, enclave.path)
     for name, value in (("ns", node.ns), ("node", node.name)):
         if value != value.strip():
-            message = f"{name}={quoted(value)} has white space around it, which SROS2 keeps"
+            message = f"{name}={quote(value)} has white space around it, which SROS2 keeps"
             yield Diagnostic.error("sros2-padded", message, node.where, "remove it; --accept reads it so", enclave.path)
 
 
@@ -105,20 +105,20 @@ def _of_entry(enclave: syntax.Sros2Enclave, node: syntax.RosNode, entry: syntax.
         yield from (replace(each, subject=enclave.path) for each in error.diagnostics)
         return
     if text != trimmed:
-        message = f"{quoted(text)} has white space around it, which SROS2 keeps: {_names(node, text)}"
+        message = f"{quote(text)} has white space around it, which SROS2 keeps: {_names(node, text)}"
         yield Diagnostic.error("sros2-padded", message, entry.where, "remove it; --accept reads it so", enclave.path)
     if trimmed.startswith("~") and trimmed[1:2] not in ("", "/"):
-        message = f"{quoted(text)} is not a private name, which begins with '~/': {_names(node, text)}"
+        message = f"{quote(text)} is not a private name, which begins with '~/': {_names(node, text)}"
         help_ = f"write ~/{trimmed[1:]}, or the full name; --accept reads it as ~/{trimmed[1:]}"
         yield Diagnostic.error("sros2-tilde", message, entry.where, help_, enclave.path)
     if "\\" in text:
-        message = f"{quoted(text)} has a '\\', which escapes a character in the standard, and is one for Fast DDS"
+        message = f"{quote(text)} has a '\\', which escapes a character in the standard, and is one for Fast DDS"
         help_ = "no ROS name has a '\\': remove it; --accept reads it as the standard does"
         yield Diagnostic.error("sros2-backslash", message, entry.where, help_, enclave.path)
 
 
 def _names(node: syntax.RosNode, text: str) -> str:
-    return f"SROS2 enforces {quoted(syntax.enforced_name(node, text))}, not {quoted(syntax.as_read(node, text))}"
+    return f"SROS2 enforces {quote(syntax.enforced_name(node, text))}, not {quote(syntax.as_read(node, text))}"
 
 
 _XSI = "http://www.w3.org/2001/XMLSchema-instance"

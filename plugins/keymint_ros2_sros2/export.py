@@ -21,7 +21,7 @@ from comarmor.patterns.glob import Glob
 from comarmor.patterns.glob import matches as matching
 from comarmor.regex import lazy_regex
 from comarmor.rules import PARTS, Effect, Rule, is_subject
-from comarmor.text import quoted
+from comarmor.text import quote
 from comarmor.values import dataclass
 from keymint.api import ExportedPolicy, ImportedSubject
 from keymint.errors import KeymintError, UnsayableError
@@ -203,7 +203,7 @@ class _Exporter:
         path = subject.subject
         where = subject.rules[0].origin if subject.rules else Origin("policy.xml")
         if not is_subject(path) or len(path) > _LONGEST:
-            message = f"the subject {quoted(path)} is no path of an enclave of at most {_LONGEST} characters"
+            message = f"the subject {quote(path)} is no path of an enclave of at most {_LONGEST} characters"
             self.errors.append(Diagnostic.error("sros2-path", message, where, "rename it", path))
         lists: list[syntax.RuleList] = []
         kept: list[Rule] = []
@@ -243,7 +243,7 @@ class _Exporter:
             self._lost("sros2-audit", message, rule, path, "with --lossy the rule stays, without AUDIT")
 
     def _unsayable(self, rule: Rule, permission: str, expression: str, reason: str, path: str) -> None:
-        message = f"SROS2 cannot say {rule.effect} {permission} {quoted(expression)}: {reason}"
+        message = f"SROS2 cannot say {rule.effect} {permission} {quote(expression)}: {reason}"
         if rule.effect is Effect.DENY:
             help_ = "without it more would be allowed, so --lossy does not drop it either: write the policy without it"
             self.errors.append(Diagnostic.error("sros2-unsayable", message, rule.origin, help_, path))

@@ -11,7 +11,7 @@ from types import MappingProxyType
 
 from comarmor.errors import ComArmorError, Diagnostic
 from comarmor.rules import Effect
-from comarmor.text import quoted
+from comarmor.text import quote
 from comarmor.values import dataclass
 from keymint_ros2_sros2.policy_files import Placed, read
 from keymint_ros2_sros2.syntax import NEW, PERMISSIONS, Entry, NodeGroup, RosNode, RuleList, SourcePolicy, Sros2Enclave
@@ -83,7 +83,7 @@ class _Parser:
     def group(self, item: Placed) -> NodeGroup:
         """Return the nodes of a ``<profiles>`` element."""
         if (kind := item.element.get("type")) is not None:
-            self.lose(f"the type {quoted(kind)} of <profiles>", item)
+            self.lose(f"the type {quote(kind)} of <profiles>", item)
         children = self.children(item, ("profile",), "in <profiles>")
         nodes = tuple(self.node(child) for child in children)
         return NodeGroup(nodes, item.where, item.comments, item.closing)

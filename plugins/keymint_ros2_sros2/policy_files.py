@@ -21,7 +21,7 @@ from comarmor.errors import ComArmorError, Origin
 from comarmor.language.policy_files import IncludeFormat, PolicyFile, href_of
 from comarmor.language.source import load_tree
 from comarmor.regex import lazy_regex
-from comarmor.text import quoted
+from comarmor.text import quote
 from comarmor.values import dataclass
 from comarmor.xml import schema
 from comarmor.xml.reader import XINCLUDE
@@ -173,7 +173,7 @@ def _selected(root: Placed, steps: tuple[str, ...], where: Origin) -> Iterator[P
         found = [child for each in found for child in each.children() if step in {"*", child.element.tag}]
     if not found and not (parents and steps[-1] == "*"):  # all of an empty element is nothing
         raise ComArmorError(
-            f"the xpointer /{'/'.join(steps)} selects nothing in {quoted(root.file.name, 200)}", where=where,
+            f"the xpointer /{'/'.join(steps)} selects nothing in {quote(root.file.name, 200)}", where=where,
             help=f"the root of that file is <{root.element.tag}>", code="include-xpointer",
         )  # fmt: skip
     yield from found
@@ -212,7 +212,7 @@ def _steps(include: etree._Element, where: Origin) -> tuple[str, ...]:
     match = _XPOINTER.fullmatch(xpointer)
     if match is None:
         raise ComArmorError(
-            f"the xpointer {quoted(xpointer)} is not supported", where=where, code="include-xpointer",
+            f"the xpointer {quote(xpointer)} is not supported", where=where, code="include-xpointer",
             help="write xpointer(PATH) with a path of elements, e.g. xpointer(/profile/*); SROS2 refuses a path alone",
         )  # fmt: skip
     return tuple(match[1][1:].split("/"))

@@ -19,7 +19,7 @@ from comarmor.patterns.expression import canonical
 from comarmor.patterns.tokens import COMARMOR, tokenize
 from comarmor.regex import lazy_regex
 from comarmor.rules import Effect, Rule
-from comarmor.text import quoted
+from comarmor.text import quote
 from comarmor.values import dataclass
 
 NEW = "0.2.0"
@@ -184,7 +184,7 @@ def expression(name: str, entry: Entry) -> str:
     except ComArmorError as error:
         (diagnostic,) = error.diagnostics
         raise ComArmorError(
-            f"{quoted(entry.text)}: {diagnostic.message}", where=entry.where, help=diagnostic.help, code="expression"
+            f"{quote(entry.text)}: {diagnostic.message}", where=entry.where, help=diagnostic.help, code="expression"
         ) from None
     if len(written) > MOST_CHARACTERS:
         raise ComArmorError(

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from comarmor.errors import ComArmorError, Origin
 from comarmor.language.attachments import strip
-from comarmor.text import did_you_mean, quoted
+from comarmor.text import did_you_mean, quote
 from comarmor.xml.sandboxed_paths import path_text, read_bounded, read_failure
 from keymint_ros2_table import rows
 
@@ -120,7 +120,7 @@ class _Guard:
         """Return the error for one of SQLite."""
         if self.refused:
             return ComArmorError(
-                f"{NAME} uses {quoted(self.refused)}, which is not allowed: its rows must depend on the database alone",
+                f"{NAME} uses {quote(self.refused)}, which is not allowed: its rows must depend on the database alone",
                 where=where, help="write what it computes into a table", code="table-query",
             )  # fmt: skip
         if self.is_large:

@@ -20,7 +20,7 @@ from comarmor.language.parse import expected_of_name
 from comarmor.language.syntax import Attachment, Inclusion, Profile, ProfileRule
 from comarmor.patterns.expression import literal
 from comarmor.rules import PERMISSIONS, Effect
-from comarmor.text import did_you_mean, quoted
+from comarmor.text import did_you_mean, quote
 from comarmor.values import dataclass
 from keymint.api import PolicySource
 from keymint.errors import KeymintError
@@ -133,7 +133,7 @@ class _PolicyMaker:
             name = literal(subject.text)
             if name is not None and (expected := expected_of_name(name)):
                 raise ComArmorError(
-                    f"{quoted(name)} is not a legal name of a subject", where=row.where, help=expected,
+                    f"{quote(name)} is not a legal name of a subject", where=row.where, help=expected,
                     code="subject-name",
                 )  # fmt: skip
             self.subjects[row.subject] = replace(subject, where=row.origin)
@@ -160,7 +160,7 @@ class _PolicyMaker:
             raise ComArmorError(f"the {column} is empty", where=where, help="for any name write *", code="expression")
         if not text.isprintable():
             raise ComArmorError(
-                f"the {column} has characters that cannot be printed: {quoted(text)}", where=where, code="expression"
+                f"the {column} has characters that cannot be printed: {quote(text)}", where=where, code="expression"
             )
         self.characters += len(text)
         if self.characters > _MOST_CHARACTERS:
@@ -175,7 +175,7 @@ class _PolicyMaker:
         value = tuple(piece for piece in pieces if not isinstance(piece, TunableReference))
         if len(value) != len(pieces):
             raise ComArmorError(
-                f"the {column} cannot contain a tunable: {quoted(text)}", where=where,
+                f"the {column} cannot contain a tunable: {quote(text)}", where=where,
                 help=f"a table has none; write a row for each value, or {' or '.join(Placeholder)}", code="brace",
             )  # fmt: skip
         return Attachment.of(value, where)
@@ -222,7 +222,7 @@ def _included(inner: Origin, where: Origin) -> Origin:
 
 def _unknown(what: str, value: str, known: Sequence[str], where: Origin) -> ComArmorError:
     return ComArmorError(
-        f"{quoted(value)} is no {what}" if value else f"the {what} is missing",
+        f"{quote(value)} is no {what}" if value else f"the {what} is missing",
         where=where,
         help=did_you_mean(value, known, f"expected {', '.join(known)}"),
         code="table-value",

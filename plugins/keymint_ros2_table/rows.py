@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 
 from comarmor.errors import ComArmorError, Origin, library_name
 from comarmor.language.attachments import strip
-from comarmor.text import counted, did_you_mean, quoted
+from comarmor.text import did_you_mean, quantity, quote
 from comarmor.values import dataclass
 
 REQUIRED = ("subject", "kind", "permission", "object", "qualifier")
@@ -55,12 +55,12 @@ def column_order(header: Sequence[str], where: Origin) -> tuple[int, ...]:
     for at, name in enumerate(header):
         if name not in COLUMNS:
             raise ComArmorError(
-                f"the column {quoted(name)} is unknown", where=where, code="table-header",
+                f"the column {quote(name)} is unknown", where=where, code="table-header",
                 help=did_you_mean(name, COLUMNS, f"known are {', '.join(COLUMNS)}"),
             )  # fmt: skip
         if name in header[:at]:
             raise ComArmorError(
-                f"there are two columns {quoted(name)}", where=where, help="remove one of them", code="table-header"
+                f"there are two columns {quote(name)}", where=where, help="remove one of them", code="table-header"
             )
     if missing := [name for name in REQUIRED if name not in header]:
         raise ComArmorError(
@@ -144,7 +144,7 @@ def rows_of_csv(content: bytes, file: str) -> Iterator[TableRow | ComArmorError]
             )
         if len(fields) != len(names):
             yield ComArmorError(
-                f"the row has {counted(len(fields), 'field')}, expected {len(names)} as in the header",
+                f"the row has {quantity(len(fields), 'field')}, expected {len(names)} as in the header",
                 where=Origin(file, line), help='a field with a comma is written in quotes: "a,b"', code="table-row",
             )  # fmt: skip
             continue

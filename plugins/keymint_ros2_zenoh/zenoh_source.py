@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.regex import lazy_regex
-from comarmor.text import quoted
+from comarmor.text import quote
 from comarmor.xml.reader import line
 from keymint.api import (
     Extension,
@@ -127,12 +127,12 @@ def _defects(values: _Values) -> Iterator[Diagnostic]:
     yield from (_missing(path, values[_ROOT][1]) for path in _REQUIRED if path not in values)
     host, where = values.get("router/host", values[_ROOT])
     if host and (not (_is_reachable(host) if is_address(host) else _DNS_NAME.fullmatch(host))):
-        message = f"the host {quoted(host)} is neither a DNS name nor the IP address of one machine"
+        message = f"the host {quote(host)} is neither a DNS name nor the IP address of one machine"
         help_ = "write the name or address by which sessions reach the router, e.g. robot1.local"
         yield Diagnostic.error("zenoh-host", message, where, help_)
     path, where = values["keystore"]
     if not path.startswith("/") or ".." in path.split("/") or "//" in path or not path.isprintable():
-        message = f"the keystore {quoted(path)} is not an absolute path"
+        message = f"the keystore {quote(path)} is not an absolute path"
         help_ = "write the path of the install space on the robot, e.g. /etc/keymint/install"
         yield Diagnostic.error("zenoh-keystore", message, where, help_)
 
@@ -151,7 +151,7 @@ def _missing(path: str, where: Origin) -> Diagnostic:
 
 def _missing_file(file: str, where: Origin) -> KeymintError:
     return KeymintError(
-        f"there is no file {quoted(file, 200)} in the package or its profile",
+        f"there is no file {quote(file, 200)} in the package or its profile",
         where=where,
         help=f"write it, for example: {_EXAMPLE}",
         code="file-missing",

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import posixpath
 from collections.abc import Iterable, Iterator, Sequence
-from urllib.parse import quote
+from urllib.parse import quote as percent_encoded
 
 from lxml import etree
 
@@ -26,7 +26,7 @@ from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns.glob import literal, parse
 from comarmor.patterns.tokens import ANY, COMARMOR, MAX_CODE, Charset, Star, Token
 from comarmor.rules import Effect, Rule, parts
-from comarmor.text import printable, quoted
+from comarmor.text import one_line, quote
 from comarmor.values import dataclass
 from keymint.api import ExportedPolicy
 from keymint.errors import KeymintError, UnsayableError
@@ -201,7 +201,7 @@ def _parts(rule: Rule) -> Iterator[tuple[str, tuple[str, ...], str]]:
 
 
 def _unsayable(rule: Rule, reason: str, subject: str, *, lossy: bool) -> Diagnostic:
-    message = f"XACML cannot say {rule.effect} {rule.kind} {quoted(', '.join(rule.expressions))}: {reason}"
+    message = f"XACML cannot say {rule.effect} {rule.kind} {quote(', '.join(rule.expressions))}: {reason}"
     if lossy and rule.effect is Effect.ALLOW:
         return Diagnostic.warning("xacml-unsayable", message, rule.origin, "left out (--lossy)", subject)
     help_ = "change the expression" + ("; --lossy leaves it out" if rule.effect is Effect.ALLOW else "")
@@ -219,7 +219,7 @@ def _document(subjects: Iterable[tuple[str, Sequence[_XacmlRule]]]) -> bytes:
     for subject, rules in subjects:
         if not rules:
             continue  # the outer set denies everything
-        policy = _policy(inner, f"subject:{quote(subject)}", subject)
+        policy = _policy(inner, f"subject:{percent_encoded(subject)}", subject)
         _any_of(_child(policy, "Target"), SUBJECT, [TextMatch(subject)])
         for number, rule in enumerate(rules, 1):
             _rule(policy, number, rule)
@@ -260,7 +260,7 @@ def _guard(parent: etree._Element) -> None:
 def _rule(policy: etree._Element, number: int, said: _XacmlRule) -> None:
     """Add a rule, with its file and line as its description, without the folder, which differs between machines."""
     effect, place = _EFFECTS[said.rule.effect], said.rule.origin
-    origin = f"{printable(posixpath.basename(place.file))}:{place.line}"
+    origin = f"{one_line(posixpath.basename(place.file))}:{place.line}"
     rule = _child(policy, "Rule", RuleId=str(number), Effect=effect)
     _child(rule, "Description", origin)
     target = _child(rule, "Target")

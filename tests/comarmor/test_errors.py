@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from comarmor.errors import ComArmorError, Diagnostic, ExitCode, Origin, Reason, Severity, cited
+from comarmor.errors import ComArmorError, Diagnostic, ExitCode, Origin, Reason, Severity, citation
 
 
 @pytest.mark.parametrize(
@@ -18,10 +18,10 @@ from comarmor.errors import ComArmorError, Diagnostic, ExitCode, Origin, Reason,
 )
 def test_a_place(folder: str) -> None:
     file = f"{folder}comarmor.d/iron/common/node.xml"
-    assert cited(file, 3) == "common/node.xml:3 (library)"
+    assert citation(file, 3) == "common/node.xml:3 (library)"
     outer = Origin("policy.xml", 7)
     assert str(Origin(file, 0, (outer,))) == "common/node.xml (library), included from policy.xml:7"
-    assert cited("comarmor.d/common/node.xml", 3) == "comarmor.d/common/node.xml:3"
+    assert citation("comarmor.d/common/node.xml", 3) == "comarmor.d/common/node.xml:3"
 
 
 def test_a_reason_with_and_without_places() -> None:

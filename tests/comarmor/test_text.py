@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Text of messages: escaped, quoted, counted, with suggestions."""
+"""Text of messages: escaped, quote, quantity, with suggestions."""
 
 from __future__ import annotations
 
@@ -10,34 +10,34 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from comarmor.text import counted, did_you_mean, encodable, first_few, nearest_word, printable, quoted
+from comarmor.text import did_you_mean, encodable_value, first_few, nearest_word, one_line, quantity, quote
 
 ANY = st.text(st.characters(codec=None))
 
 
 @given(ANY)
 def test_printable_text_is_one_printable_line(text: str) -> None:
-    assert printable(text).isprintable()
+    assert one_line(text).isprintable()
 
 
 @given(ANY)
 def test_encodable_text_has_a_form_in_utf_8(text: str) -> None:
-    json.dumps(encodable({text: [text]}), ensure_ascii=False).encode()
+    json.dumps(encodable_value({text: [text]}), ensure_ascii=False).encode()
 
 
 def test_moments_are_written_in_iso_8601() -> None:
     moment = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
-    assert encodable({"at": (moment,), "end": None}) == {"at": ["2026-01-02T03:04:05+00:00"], "end": None}
+    assert encodable_value({"at": (moment,), "end": None}) == {"at": ["2026-01-02T03:04:05+00:00"], "end": None}
 
 
 @given(ANY, st.integers(1, 100))
 def test_quoted_text_has_a_limit(text: str, limit: int) -> None:
-    assert len(quoted(text, limit)) <= limit + 3
+    assert len(quote(text, limit)) <= limit + 3
 
 
 @pytest.mark.parametrize(("number", "text"), [(0, "no edges"), (1, "1 edge"), (2, "2 edges")])
 def test_numbers_with_nouns(number: int, text: str) -> None:
-    assert counted(number, "edge") == text
+    assert quantity(number, "edge") == text
 
 
 def test_suggestions_ignore_case() -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 import click
 
 from comarmor.errors import Diagnostic, Severity
-from comarmor.text import counted, did_you_mean
+from comarmor.text import did_you_mean, quantity
 from keymint.command_line.durations import period
 from keymint.command_line.named_files import write_outputs
 from keymint.command_line.options import packages_argument, standard_only_option, strict_option
@@ -94,7 +94,7 @@ def check(
         run.keep(session, state)
     more = f"; {len(unexamined)} not examined" if unexamined else ""
     more += "; not proven, because of --no-prove" if no_prove else ""
-    run.console.line(f"checked {counted(len(chosen), 'enclave')}: {counted(number, 'finding')}{more}")
+    run.console.line(f"checked {quantity(len(chosen), 'enclave')}: {quantity(number, 'finding')}{more}")
     result = {
         "checked": [subject_of(name) for name in chosen],
         "proven": not no_prove,

@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from comarmor.errors import Diagnostic
-from comarmor.text import counted
+from comarmor.text import quantity
 from keymint.api import Claim, Counterexample, Proof
 from keymint.command_line.options import complete_package, standard_only_option, strict_option, vendors_of_option
 from keymint.command_line.verb import Number, Report, Run, argument, findings_exit, findings_if, option, verb
@@ -91,7 +91,7 @@ def prove(
 
 def _without_policy(run: Run, session: Session, names: Sequence[str], error: KeymintError) -> Report:
     """Return what can be told although the policy cannot be read: what the authorities do not vouch for."""
-    run.console.line(f"proved nothing about {counted(len(names), 'enclave')}: the policy cannot be read")
+    run.console.line(f"proved nothing about {quantity(len(names), 'enclave')}: the policy cannot be read")
     found = (*error.diagnostics, *differences(session, names), *keystore.deciding_findings(session))
     unexamined = tuple(keystore.not_examined(session))
     nothing = ProofResults((), (), session.state, {}, frozenset(), {}, session.now)
@@ -125,10 +125,10 @@ def _summary(run: Run, results: ProofResults, *, with_register: bool) -> None:
     parts = [f"{total - len(open_)} of {total} claims proven"]
     parts += [f"{refuted} refuted"] * bool(refuted)
     parts += [f"{len(open_) - refuted} unknown"] * (len(open_) > refuted)
-    parts += [f"{counted(unread, 'enclave')} could not be read"] * bool(unread)
+    parts += [f"{quantity(unread, 'enclave')} could not be read"] * bool(unread)
     models = ", ".join(_with_evidence(results))
     of_these = f" ({cached} cached)" if cached else ""
-    enclaves = f"{counted(count, 'enclave')}{of_these}{f' for {models}' if models else ''}"
+    enclaves = f"{quantity(count, 'enclave')}{of_these}{f' for {models}' if models else ''}"
     say(f"proved {enclaves}: {', '.join(parts)}{_when(results, with_register=with_register)}")
     if excepted := list(dict.fromkeys(_excepted(results))):
         left = len(excepted) - SHOWN
@@ -152,7 +152,7 @@ def _when(results: ProofResults, *, with_register: bool) -> str:
             known, limit = "valid by their dates", " (whether they were revoked is not known without the register)"
         return f"; {known} at {terms.iso_time(results.now)}, until {terms.iso_time(until)}{limit}"
     out = sum(terms.end(enclave.terms, results.now) is None for enclave in results.enclaves if enclave.terms)
-    return f"; {counted(out, 'enclave')} {'is' if out == 1 else 'are'} not in force at {terms.iso_time(results.now)}"
+    return f"; {quantity(out, 'enclave')} {'is' if out == 1 else 'are'} not in force at {terms.iso_time(results.now)}"
 
 
 def _shown(moment: datetime | None) -> str | None:

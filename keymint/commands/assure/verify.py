@@ -12,7 +12,7 @@ import click
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.regex import lazy_regex
-from comarmor.text import counted
+from comarmor.text import quantity
 from keymint.api import Tier, Transport
 from keymint.api.graph import MISMATCHES, Edge, Graph
 from keymint.api.graph_json import load
@@ -164,11 +164,11 @@ def _unasked(
             continue
         edges = [edge for edge in system.edges if not scope.has_name(edge.object)] if system else ()
         if edges:
-            message = f"{counted(len(edges), 'edge')} of the graph not asked of {enumeration(tuple(groups[name]))}"
+            message = f"{quantity(len(edges), 'edge')} of the graph not asked of {enumeration(tuple(groups[name]))}"
             first = edges[0].object
             reason = f"{name} has no name for the {first.kind} {first.name!r}"
             more = len({edge.object for edge in edges}) - 1
-            reason += f", and for {counted(more, 'more object')}" if more else ""
+            reason += f", and for {quantity(more, 'more object')}" if more else ""
             yield Diagnostic.note("edges-unasked", f"{message}: {reason}")
 
 
@@ -180,8 +180,8 @@ def _show(run: Run, result: Mapping[str, Any]) -> None:
     run.console.table({"TRANSPORT": "name", "VERSION": "version"} | columns, outcomes)
     wrong = sum(each["false_positive"] + each["false_negative"] for each in outcomes)
     run.console.line(
-        f"verified {counted(len(result['subjects']), 'enclave')}, {counted(result['edges'], 'edge')} on "
-        f"{counted(len(outcomes), 'transport')}: {counted(wrong, 'mismatch')} between policy and transports"
+        f"verified {quantity(len(result['subjects']), 'enclave')}, {quantity(result['edges'], 'edge')} on "
+        f"{quantity(len(outcomes), 'transport')}: {quantity(wrong, 'mismatch')} between policy and transports"
     )
     if "operations" in result:
         columns = {"OPERATION": "permission", "ASKED": "asked", "AGREED": "agreed", "DENIED": "denied"}

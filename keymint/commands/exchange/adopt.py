@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from comarmor.text import counted
+from comarmor.text import quantity
 from keymint.adoption.adopted_workspace import Adoption, plan_adoption
 from keymint.adoption.keystore_files import found_in
 from keymint.adoption.keystore_policy import AdoptedPolicy, Compared, Learning, document_comparisons, learned_from
@@ -235,7 +235,7 @@ def _summary(keystore: str, found: FoundKeystore, relations: Mapping[str, str]) 
         found: what it has.
         relations: how the signed documents of each subject compare with a policy, in words.
     """
-    yield f"{keystore}: {counted(len(found.enclaves), 'enclave')}, {found.form}"
+    yield f"{keystore}: {quantity(len(found.enclaves), 'enclave')}, {found.form}"
     for authority in found.authorities:
         yield _authority(authority)
     for enclave in found.enclaves:

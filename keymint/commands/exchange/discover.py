@@ -20,7 +20,7 @@ import click
 
 from comarmor.errors import Diagnostic, Origin
 from keymint.api import DiscoveredGraph, GraphSource, graph_json
-from keymint.api.graph import NAMES_DIFFER, Graph, differing
+from keymint.api.graph import NAMES_DIFFER, Graph, differing_names
 from keymint.command_line.named_files import deliver, exists, read_input
 from keymint.command_line.verb import PATH, Number, Report, Run, flag, graph_source, option, plugin, verb
 from keymint.errors import ExitCode, KeymintError, usage_error
@@ -102,7 +102,7 @@ def discover(
         "graph": None if target else json.loads(content),
     }
     records = pairwise(source.interpret(each.graph, fold=not no_fold) for each in graphs)
-    differ = (note for one, other in records for note in differing(one, other))
+    differ = (note for one, other in records for note in differing_names(one, other))
     diagnostics = tuple(dict.fromkeys((*(said for each in graphs for said in each.diagnostics), *differ)))
     return run.report(result, diagnostics, interrupted or ExitCode.DONE, notes={NAMES_DIFFER})
 

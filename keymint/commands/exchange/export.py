@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from comarmor.errors import Diagnostic, Origin
-from comarmor.text import did_you_mean, quoted
+from comarmor.text import did_you_mean, quote
 from keymint.api import LoadedPolicy, PolicyFormat, PolicyType
 from keymint.command_line.named_files import deliver, read_input
 from keymint.command_line.named_policies import Policies
@@ -136,7 +136,7 @@ def _listed(content: bytes, file: str) -> Iterator[tuple[str, Origin]]:
             ) from None
         if not name.isprintable():
             raise KeymintError(
-                f"the subject has characters that cannot be printed: {quoted(name)}", where=where, help="remove them",
+                f"the subject has characters that cannot be printed: {quote(name)}", where=where, help="remove them",
                 code="subjects-invalid",
             )  # fmt: skip
         if name:

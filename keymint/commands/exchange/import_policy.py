@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin
-from comarmor.text import counted, first_few
+from comarmor.text import first_few, quantity
 from comarmor.values import dataclass
 from comarmor.xml.reader import looks_like_xml, parse
 from keymint.api import (
@@ -85,7 +85,7 @@ def import_policy(
     delivered = deliver(run, file, imported.document, keep=None if force else keep)
     same = sum(proof.is_same for proof in proofs)
     run.console.line(
-        f"{counted(len(proofs), 'subject')}: {same} proven to permit, for all names, what {importer.TOOL} lets it do"
+        f"{quantity(len(proofs), 'subject')}: {same} proven to permit, for all names, what {importer.TOOL} lets it do"
     )
     subjects = [{"subject": proof.subject, "same": proof.is_same} for proof in proofs]
     rules = ((each.rules, Origin(str(policy))) for each in imported.subjects)

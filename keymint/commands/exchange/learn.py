@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from comarmor.errors import Diagnostic, Origin
-from comarmor.text import counted
+from comarmor.text import quantity
 from comarmor.xml.reader import looks_like_xml
 from keymint.api import GrantedRules, LearnedPolicy, LoadedPolicy, graph_json
-from keymint.api.graph import NAMES_DIFFER, Edge, Graph, differing
+from keymint.api.graph import NAMES_DIFFER, Edge, Graph, differing_names
 from keymint.command_line.named_files import deliver, read_input, show_written, write_outputs
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions, force_option, policy_options
@@ -98,7 +98,7 @@ def learn(
         "missing": [_as_json(edge) for edge in learned.missing],
         "unused": [_place(found) for found in learned.unused],
     }
-    differ = (note for pair in pairwise(records) for note in differing(*pair))
+    differ = (note for pair in pairwise(records) for note in differing_names(*pair))
     diagnostics = (*learned.conflicts, *learned.unused, *_about_domains(domains, output), *learned.notes, *differ)
     return run.report(result, diagnostics, findings_if(learned.conflicts), notes={"learn-generated", NAMES_DIFFER})
 
@@ -206,7 +206,7 @@ def _from_keystore(
     learned = learned_from(run.plugins, files, found, learning, unclear_rights(found))
     delivered = deliver(run, output, learned.document, keep=None if force else _kept(output))
     if output is not None:
-        subjects = counted(len(learned.granted), "subject")
+        subjects = quantity(len(learned.granted), "subject")
         run.console.line(f"{subjects}: proven to allow, for all names, what the signed documents permit")
     result: dict[str, Any] = {
         "domains": sorted({domain for each in learned.granted for domain in _signed_domains(each)}),

@@ -11,7 +11,7 @@ from typing import Any
 
 from cryptography import x509
 
-from comarmor.text import counted
+from comarmor.text import quantity
 from keymint.authority import authority_files
 from keymint.authority.authorities import authority_named
 from keymint.authority.authority_changes import uses
@@ -122,8 +122,8 @@ def _lines(authority: Mapping[str, Any], now: datetime) -> Iterator[str]:
     yield f"  issued by     {authority['issuer'] or 'itself'}{' (imported)' if authority['imported'] else ''}"
     yield f"  private key   {authority['private_key']}"
     served = [
-        f"{counted(use['packages'], 'package')} ({use['role']}{', signs' if use['signs'] else ''}; {use['build_type']})"
-        for use in authority["serves"]
+        f"{quantity(of['packages'], 'package')} ({of['role']}{', signs' if of['signs'] else ''}; {of['build_type']})"
+        for of in authority["serves"]
     ]
     yield f"  serves        {'; '.join(served) or 'nobody'}"
     if found := authority["revocation_list"]:

@@ -9,7 +9,7 @@ from datetime import datetime
 from typing import Any
 
 from comarmor.errors import Diagnostic, Severity
-from comarmor.text import counted
+from comarmor.text import quantity
 from comarmor.values import dataclass
 from keymint.command_line import durations
 from keymint.command_line.options import packages_argument, prove_option
@@ -227,7 +227,7 @@ def _authority_due(due: AuthorityDue) -> Diagnostic:
     first = (*due.issuers[::-1], due.name)[0]
     message = f"the authority {due.name!r} is due: it ends on {iso_time(due.end)}"
     if due.packages:
-        message += f", and what it signs for {counted(len(due.packages), 'enclave')} ends with it"
+        message += f", and what it signs for {quantity(len(due.packages), 'enclave')} ends with it"
     if due.issuers:
         message += f"; so does its issuer {due.issuers[0]!r}"
     return Diagnostic.warning("authority-due", message, None, f"run 'keymint authority renew {first}'")

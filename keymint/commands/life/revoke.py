@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from comarmor.errors import Severity
-from comarmor.text import counted
+from comarmor.text import quantity
 from keymint.command_line.options import complete_package, prove_option
 from keymint.command_line.verb import Report, Run, argument, option, verb
 from keymint.errors import KeymintError
@@ -79,7 +79,7 @@ def _lines(run: Run, revoking: Revoking, result: Mapping[str, Sequence[Any]], re
         yield f"{word} {each['subject']} serial {each['serial']}, generation {each['generation']}, {reason}"
     if peers := result["restart"]:
         yield (
-            f"deploy and restart {counted(len(peers), 'enclave')}: {subject_list(peers)}; a node that runs keeps its "
+            f"deploy and restart {quantity(len(peers), 'enclave')}: {subject_list(peers)}; a node that runs keeps its "
             "old list, and until its restart accepts the revoked certificate; connections made before go on until then"
         )
     if shared := result["shared"]:

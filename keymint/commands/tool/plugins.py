@@ -8,7 +8,7 @@ from dataclasses import asdict
 from typing import Any
 
 from comarmor.errors import Diagnostic
-from comarmor.text import quoted
+from comarmor.text import quote
 from comarmor.xml.package_folders import SEARCH_PATH, InstalledPackages
 from comarmor.xml.sandboxed_paths import path_text
 from keymint.command_line.verb import Report, Run, verb
@@ -59,7 +59,7 @@ def _shown(run: Run, package: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _relative(prefix: str) -> Diagnostic:
-    message = f"{SEARCH_PATH} has the relative path {quoted(prefix, 200)}: what packages ship is not looked up there"
+    message = f"{SEARCH_PATH} has the relative path {quote(prefix, 200)}: what packages ship is not looked up there"
     help_ = (
         "write an absolute path; policies that include what a package ships there, or in a later prefix, are refused"
     )

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from comarmor.errors import Defects, Diagnostic, Origin
-from comarmor.text import counted
+from comarmor.text import quantity
 from comarmor.values import dataclass
 from comarmor.xml.reader import looks_like_xml
 from keymint.api import PolicyType
@@ -97,7 +97,7 @@ def _show(run: Run, files: Sequence[_Formatted], changed: Sequence[_Formatted], 
     if written or run.dry_run:
         run.console.lines(f"{each.name} {'written' if written else 'would be written'}" for each in changed)
     other = f", {len(changed)} not" + " before" * written if changed else ""
-    run.console.line(f"{counted(len(files), 'file')}: {len(files) - len(changed)} in canonical form{other}")
+    run.console.line(f"{quantity(len(files), 'file')}: {len(files) - len(changed)} in canonical form{other}")
 
 
 def _finding(file: _Formatted) -> Diagnostic:

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from comarmor.text import counted
+from comarmor.text import quantity
 from keymint.analysis.lint.lint_rules import CODES, portability, sorted_diagnostics
 from keymint.analysis.lint.lint_rules import lint as look
 from keymint.analysis.subject_patterns import pattern_examples, rules_of
@@ -68,8 +68,8 @@ def lint(
     diagnostics = sorted_diagnostics(diagnostics)
     if sarif is not None:
         write_outputs(run, sarif, sarif_log("keymint lint", CODES, of_diagnostics(diagnostics), run.typed))
-    like = f" and {counted(len(others), 'pattern')} of subjects" if others else ""
-    run.console.line(f"{counted(number, 'finding')} in the rules of {counted(len(named), 'subject')}{like}")
+    like = f" and {quantity(len(others), 'pattern')} of subjects" if others else ""
+    run.console.line(f"{quantity(number, 'finding')} in the rules of {quantity(len(named), 'subject')}{like}")
     result = {"subjects": named, "findings": number}
     return run.report(result, diagnostics, findings_exit(diagnostics), notes=NODE_NOTES)
 

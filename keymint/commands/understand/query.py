@@ -12,7 +12,7 @@ from comarmor.errors import Diagnostic
 from comarmor.patterns.decision_lists import Equal
 from comarmor.patterns.glob import literal, parse
 from comarmor.rules import RAW_PREFIXES
-from comarmor.text import counted
+from comarmor.text import quantity
 from keymint.analysis.channels import Channel, ChannelSearch
 from keymint.analysis.query import (
     FORMS,
@@ -223,7 +223,7 @@ def _flows(run: Run, channels: ChannelSearch, question: PolicyQuery) -> _Answer:
         apart = _infrastructure(channels, _pairs(sources, targets))
         run.console.line(f"no: nothing flows from {one} to {other}{_but_for(channels, apart)}")
         return "no", {"path": None, "infrastructure": [_channel(each) for each in apart]}
-    run.console.line(f"yes: in {counted(len(path), 'step')}")
+    run.console.line(f"yes: in {quantity(len(path), 'step')}")
     run.console.lines(f"  {_step(step)}" for step in path)
     verdict = "yes" if all(step.word for step in path) else "unknown"
     return verdict, {"path": [_channel(step) for step in path], "infrastructure": []}
@@ -242,7 +242,7 @@ def _isolated(run: Run, channels: ChannelSearch, question: PolicyQuery) -> _Answ
     common = _infrastructure(channels, pairs)
     for shared in list(together.values())[:_MOST]:
         more = len(shared) - 1
-        also = f" (and {counted(more, 'other pair')})" if more else ""
+        also = f" (and {quantity(more, 'other pair')})" if more else ""
         run.console.line(f"{_step(shared[0])}{also}")
     if len(together) > _MOST:
         run.console.line(f"… and {len(together) - _MOST} other channels")
@@ -252,7 +252,7 @@ def _isolated(run: Run, channels: ChannelSearch, question: PolicyQuery) -> _Answ
     run.console.line(
         {
             "yes": f"isolated: nothing flows between {apart}{_but_for(channels, common)}",
-            "no": f"not isolated: {counted(len(together), 'channel')} between {apart}",
+            "no": f"not isolated: {quantity(len(together), 'channel')} between {apart}",
             "unknown": f"unknown: no channel between named subjects, but others of {apart} may have one",
         }[verdict]
     )

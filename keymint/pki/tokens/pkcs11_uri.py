@@ -9,7 +9,7 @@ from urllib.parse import unquote, unquote_to_bytes
 
 from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
-from comarmor.text import did_you_mean, quoted
+from comarmor.text import did_you_mean, quote
 from comarmor.values import dataclass
 from keymint.errors import KeymintError
 
@@ -68,7 +68,7 @@ def parse(text: str, where: Origin | None = None) -> Pkcs11Uri:
             "leave pin-value out; name the PIN's environment variable in <pin_env>, or its file: pin-source=file:/path",
         )
     if not text.startswith("pkcs11:") or len(text) > _MOST:
-        raise _error(f"{quoted(text, 80)} is not a PKCS #11 URI", where, "write pkcs11:token=…;object=… (RFC 7512)")
+        raise _error(f"{quote(text, 80)} is not a PKCS #11 URI", where, "write pkcs11:token=…;object=… (RFC 7512)")
     path, _, query = text.removeprefix("pkcs11:").partition("?")
     found = _attributes(path, ";", (*_TOKEN, *_OBJECT), _PATH_TEXT, where)
     asked = _attributes(query, "&", _QUERY, _QUERY_TEXT, where)
@@ -98,7 +98,7 @@ def _attributes(
     for part in text.split(separator) if text else ():
         name, equals, value = part.partition("=")
         if not equals or not form.fullmatch(part):
-            raise _error(f"the URI has {quoted(part, 80)}, expected name=value", where, "write a blank as %20")
+            raise _error(f"the URI has {quote(part, 80)}, expected name=value", where, "write a blank as %20")
         if name not in known:
             # An attribute that is not understood identifies no object (RFC 7512, 2.3).
             raise _error(
@@ -114,9 +114,9 @@ def _text(value: str, where: Origin | None) -> str:
     try:
         text = unquote(value, errors="strict")
     except UnicodeDecodeError:
-        raise _error(f"{quoted(value, 80)} is not UTF-8", where, "only id may have other bytes") from None
+        raise _error(f"{quote(value, 80)} is not UTF-8", where, "only id may have other bytes") from None
     if "\0" in text:
-        raise _error(f"{quoted(value, 80)} has a NUL", where, "leave it out")
+        raise _error(f"{quote(value, 80)} has a NUL", where, "leave it out")
     return text
 
 
@@ -125,7 +125,7 @@ def _pin_file(source: str, where: Origin | None) -> str:
     path = source.removeprefix("file:")
     path = path.removeprefix("//") if path.startswith("///") else path
     if path and not (path.startswith("/") and not path.startswith("//")):
-        raise _error(f"pin-source={quoted(source, 80)} is not a file", where, "write pin-source=file:/absolute/path")
+        raise _error(f"pin-source={quote(source, 80)} is not a file", where, "write pin-source=file:/absolute/path")
     return path
 
 

@@ -76,10 +76,10 @@ def differences(session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...
     """
     there = [name for name in names if any(enclave_files(session, name))]
     packages = (session.package(name, built=is_build_current(session, name)) for name in there)
-    return tuple(dict.fromkeys(each for package in packages for each in unvouched(session, package)))
+    return tuple(dict.fromkeys(each for package in packages for each in unvouched_files(session, package)))
 
 
-def unvouched(session: Session, package: Package) -> Iterator[Diagnostic]:
+def unvouched_files(session: Session, package: Package) -> Iterator[Diagnostic]:
     """Yield the findings on an enclave, of which some file is there, that does not rest on the authorities."""
     files, unread = enclave_files(session, package.name)
     yield from unread_of(session, package, unread)

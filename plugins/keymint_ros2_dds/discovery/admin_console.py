@@ -14,7 +14,7 @@ from lxml import etree
 
 from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
-from comarmor.text import quoted
+from comarmor.text import quote
 from comarmor.xml.reader import line, parse
 from keymint.api import DiscoveredGraph
 from keymint.errors import KeymintError
@@ -76,7 +76,7 @@ class _AdminConsoleReader:
         found = data.findtext("domain_id") or (above.findtext("domain_id") if above is not None else None) or "0"
         domain = found.strip()
         if not _NUMBER.fullmatch(domain) or int(domain) > MAX_DOMAIN:
-            raise self.error(data, f"domain_id is {quoted(domain)}, expected a DDS domain id from 0 to {MAX_DOMAIN}")
+            raise self.error(data, f"domain_id is {quote(domain)}, expected a DDS domain id from 0 to {MAX_DOMAIN}")
         user_data = _octets(_text(data, "user_data/value"))
         return DiscoveredParticipant(
             self._guid(data, "key"), int(domain), _text(data, "participant_name/name"), user_data

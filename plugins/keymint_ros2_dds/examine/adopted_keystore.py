@@ -15,7 +15,7 @@ from typing import Any
 from cryptography import x509
 
 from comarmor.errors import Diagnostic
-from comarmor.text import counted
+from comarmor.text import quantity
 from keymint.api import FoundAuthority, FoundEnclave, FoundKeystore, KeystoreFiles, TrustAnchor
 from keymint.errors import KeymintError
 from keymint.pki import certificates, extensions, foreign_authorities, keys, revocation_lists
@@ -294,7 +294,7 @@ def _newest_list(
     newest = max(lists, key=lambda each: (lists[each].number, lists[each].this_update), default="")
     if newest:
         findings += _lost(contents, newest, lists)
-        count = counted(len(lists[newest].revocations), "certificate")
+        count = quantity(len(lists[newest].revocations), "certificate")
         if layout == "sros2":
             findings += _elsewhere(contents, newest, enclaves, count)
         findings.append(contents.note(_REVOCATIONS, newest, f"revokes {count}, which stay revoked", "nothing"))

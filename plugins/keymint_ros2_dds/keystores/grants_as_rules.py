@@ -18,7 +18,7 @@ from comarmor.patterns.relations import covers, disjoint
 from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.patterns.tokens import PatternError
 from comarmor.rules import Effect, Rule
-from comarmor.text import quoted
+from comarmor.text import quote
 from comarmor.values import dataclass
 from keymint.api import DomainRange, FoundEnclave, GrantedRules, KeystoreFiles
 from keymint.errors import KeymintError
@@ -108,20 +108,20 @@ def _grant(
     eras = tuple(grant_periods(document, name, STANDARD))
     if len(eras) > 1:
         message = (
-            f"{quoted(name)} has another grant from {eras[1].begin:%Y-%m-%d} on, and rules of a policy have no time"
+            f"{quote(name)} has another grant from {eras[1].begin:%Y-%m-%d} on, and rules of a policy have no time"
         )
         raise _unsayable(message, document.place(eras[1].grant.line), "sign a document with one grant")
     grant = eras[0].grant if eras else None
     findings = [
         Diagnostic.warning(
-            "learn-grant", f"this grant of {quoted(name)} is never in force, and is not learned",
+            "learn-grant", f"this grant of {quote(name)} is never in force, and is not learned",
             document.place(each.line), "remove it from the document", subject
         )
         for each in own
         if each is not grant
     ]  # fmt: skip
     if not own:
-        message = f"no grant is for {quoted(name)}, so the enclave is permitted nothing"
+        message = f"no grant is for {quote(name)}, so the enclave is permitted nothing"
         help_ = "sign a document for this name"
         findings.append(Diagnostic.warning("learn-grant", message, Origin(document.file), help_, subject))
     return grant, tuple(findings)
@@ -229,8 +229,8 @@ def _unordered(document: PermissionsDocument, steps: Sequence[_Step], *, named: 
 def _denied_after(document: PermissionsDocument, step: _Step, allowing: _Step) -> KeymintError:
     line = document.place(allowing.line).line
     message = (
-        f"denies to {step.action} {quoted(canonical(step.topic))}, but line {line} before it allows "
-        f"{quoted(canonical(allowing.topic))}; in a policy every DENY overrides every ALLOW"
+        f"denies to {step.action} {quote(canonical(step.topic))}, but line {line} before it allows "
+        f"{quote(canonical(allowing.topic))}; in a policy every DENY overrides every ALLOW"
     )
     return _unsayable(message, document.place(step.line), "write out the names that are allowed")
 

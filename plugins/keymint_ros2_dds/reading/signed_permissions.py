@@ -16,7 +16,7 @@ from lxml import etree
 
 from comarmor.errors import ComArmorError, Diagnostic, Origin
 from comarmor.regex import lazy_regex
-from comarmor.text import quoted
+from comarmor.text import quote
 from comarmor.values import dataclass
 from comarmor.xml.reader import line, parse
 from keymint.api import DomainRange
@@ -320,7 +320,7 @@ def _number(element: etree._Element) -> int:
     text = raw_text(element).strip(BLANKS)
     if _NUMBER.fullmatch(text) is None:
         where = Origin("", line(element))
-        raise KeymintError(f"{quoted(text)} is no domain id, expected a whole number", where=where, code="domains")
+        raise KeymintError(f"{quote(text)} is no domain id, expected a whole number", where=where, code="domains")
     return int(text)
 
 

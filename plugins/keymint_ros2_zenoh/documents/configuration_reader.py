@@ -15,7 +15,7 @@ import fastjsonschema
 
 from comarmor.data import locate
 from comarmor.errors import Diagnostic, Origin
-from comarmor.text import did_you_mean, quoted
+from comarmor.text import did_you_mean, quote
 from keymint.errors import KeymintError
 from keymint_ros2_zenoh import keyexpr
 from keymint_ros2_zenoh.documents import json5
@@ -75,7 +75,7 @@ def _validate(document: Any, lines: Mapping[json5.Path, int], name: str) -> None
         place = "/".join(error.path[1:]) or "the file"
         what = error.message.removeprefix(error.name or "").strip()
         raise KeymintError(
-            f"{quoted(place, 200)} {quoted(what, 200)}",
+            f"{quote(place, 200)} {quote(what, 200)}",
             where=Origin(name, lines[path]),
             help="Zenoh refuses it at start",
             code="zenoh-configuration",
@@ -107,7 +107,7 @@ class _Reading:
             inner = "/".join((*path, key))
             self._places[inner] = self._place(*path, key)
             if "/" in key:  # no setting of Zenoh, but it would read like the path of one
-                self._other["/".join((*path, quoted(key)))] = member
+                self._other["/".join((*path, quote(key)))] = member
             elif inner in _MODELLED:
                 self._found[inner] = member
             elif isinstance(member, dict) and (member or inner in _AROUND_MODELLED):
@@ -192,14 +192,14 @@ class _Reading:
                 if name is None:
                     continue  # a policy need not have one
                 if name in own:
-                    yield self._defect(f"the {kind} {quoted(name)} occurs twice", where, "give each its own id")
+                    yield self._defect(f"the {kind} {quote(name)} occurs twice", where, "give each its own id")
                 own.add(name)
         for policy in control.policies:
             for kind, names in (("rule", policy.rules), ("subject", policy.subjects)):
                 for unknown in dict.fromkeys(names):
                     if unknown not in known[kind]:
                         help_ = did_you_mean(unknown, known[kind], f"declare the {kind}, or remove its id")
-                        yield self._defect(f"there is no {kind} {quoted(unknown)}", policy.where, help_)
+                        yield self._defect(f"there is no {kind} {quote(unknown)}", policy.where, help_)
 
     def _key_exprs(self, control: AccessControl) -> Iterator[Diagnostic]:
         """Yield the key expressions that are illegal or not canonical; Zenoh refuses them at start."""

@@ -16,7 +16,7 @@ import pyjson5
 
 from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
-from comarmor.text import quoted
+from comarmor.text import quote
 from keymint.errors import KeymintError
 
 FILE_BYTES = 64 * 2**20
@@ -88,7 +88,7 @@ def _syntax(error: pyjson5.Json5DecoderException, text: str, name: str) -> Keymi
     near = _NEAR.search(message)
     line = text.count("\n", 0, int(near[1])) + 1 if near else 0
     reason = re.sub(r"b'(\w+)'", r"\1", message.partition(" near ")[0]).removesuffix(" starting")
-    return _refused(f"not well-formed JSON5: {quoted(reason)}", name, line)
+    return _refused(f"not well-formed JSON5: {quote(reason)}", name, line)
 
 
 class _Json5Scanner:
@@ -130,7 +130,7 @@ class _Json5Scanner:
             yield kind, part
             if kind == "text":
                 self._line += part.count("\n")
-        raise self._odd(f"{quoted(text[position : position + 1])} is not expected here")
+        raise self._odd(f"{quote(text[position : position + 1])} is not expected here")
 
     def _value(self, path: Path, kind: str, part: str) -> Any:
         self.lines.setdefault(path, self._line)
@@ -146,7 +146,7 @@ class _Json5Scanner:
             number = pyjson5.decode(part)
             if isinstance(number, float) or -(2**63) <= number < 2**64:
                 return number
-        raise self._odd(f"{quoted(part)} is not a value that all readers understand in the same way")
+        raise self._odd(f"{quote(part)} is not a value that all readers understand in the same way")
 
     def _members(self, path: Path) -> dict[str, Any]:
         members: dict[str, Any] = {}
@@ -154,9 +154,9 @@ class _Json5Scanner:
             line = self._line
             key = self._text(part) if kind == "text" else part
             if kind not in {"text", "word"} or (kind == "word" and "\\" in part):
-                raise self._odd(f"{quoted(part)} is not a key that all readers understand in the same way")
+                raise self._odd(f"{quote(part)} is not a key that all readers understand in the same way")
             if key in members:
-                message = f"the key {quoted(key)} occurs twice, first on line {self.lines[*path, key]}"
+                message = f"the key {quote(key)} occurs twice, first on line {self.lines[*path, key]}"
                 raise _refused(message, self._name, line, "remove one of them", "json5-doubled")
             self.lines[*path, key] = line
             next(self._parts)  # the colon

@@ -14,7 +14,7 @@ from itertools import chain
 from typing import Any
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from comarmor.text import quoted
+from comarmor.text import quote
 from keymint.api import Package
 from keymint.errors import KeymintError
 from keymint_ros2_zenoh.documents.configuration import (
@@ -171,7 +171,7 @@ def pin_findings(found: Configuration, router: str, file: str) -> Iterator[Diagn
     """Yield that a session has other subjects than the router, which has this common name."""
     if [subject.cert_common_names for subject in found.access_control.subjects] != [(router,)]:
         message = (
-            f"the only subject of its access control must be the router, {quoted(router)}: otherwise others can stand "
+            f"the only subject of its access control must be the router, {quote(router)}: otherwise others can stand "
             "for the router"
         )
         yield Diagnostic.error("zenoh-router-pin", message, found.place("access_control/subjects", file))
@@ -198,27 +198,27 @@ def holders(found: Configuration, names: Mapping[str, str], file: str) -> Iterat
     holding = Counter(names.values())
     for name, entry in named.items():
         if name not in holding:
-            message = f"the common name {quoted(name)} has rights, but no package of the workspace has it"
+            message = f"the common name {quote(name)} has rights, but no package of the workspace has it"
             yield Diagnostic.error("zenoh-subject-unknown", message, entry.where)
     where = found.place("access_control/subjects", file)
     for subject, name in names.items():
         if name not in named:
-            message = f"the common name {quoted(name)} is missing: {subject} has no rights"
+            message = f"the common name {quote(name)} is missing: {subject} has no rights"
             yield Diagnostic.error("zenoh-subject-missing", message, where, subject=subject)
         elif holding[name] > 1:
-            message = f"{subject} is not the only one with the common name {quoted(name)}"
+            message = f"{subject} is not the only one with the common name {quote(name)}"
             yield Diagnostic.error("zenoh-common-name", message, where, subject=subject)
 
 
 def _problem(subject: AclSubject, counts: Counter[str]) -> tuple[str, str] | None:
     """Return code and message of what is wrong with a subject entry."""
-    shown = f"the subject {quoted(subject.id)}"
+    shown = f"the subject {quote(subject.id)}"
     if not subject.cert_common_names:
         return "zenoh-wildcard-subject", f"{shown} has no common name: it is every link that its other properties match"
     doubled = [name for name in subject.cert_common_names if counts[name] > 1]
     if doubled:
         message = (
-            f"{shown} is not the only one with the common name {quoted(doubled[0])}, which may what any of them may"
+            f"{shown} is not the only one with the common name {quote(doubled[0])}, which may what any of them may"
         )
         return "zenoh-common-name", message
     if len(subject.cert_common_names) > 1:
@@ -238,4 +238,4 @@ def _shown(value: Any) -> str:
         return "not set"
     if isinstance(value, bool):
         return "true" if value else "false"
-    return quoted(", ".join(value) if isinstance(value, tuple) else str(value), 200)
+    return quote(", ".join(value) if isinstance(value, tuple) else str(value), 200)

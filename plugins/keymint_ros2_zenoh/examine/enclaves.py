@@ -18,7 +18,7 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from comarmor.errors import Diagnostic, Origin
-from comarmor.text import quoted
+from comarmor.text import quote
 from keymint.api import EnclaveFiles, Inspection, TrustAnchor, ValidityTerm
 from keymint.errors import KeymintError
 from keymint.names import name_of
@@ -125,7 +125,7 @@ def _installed_names(inspection: Inspection, names: Mapping[str, str]) -> Iterat
         except (KeyError, KeymintError):  # reported elsewhere
             continue
         if shown != name:
-            message = f"the certificate of {subject} has the common name {quoted(shown)}, not {quoted(name)}"
+            message = f"the certificate of {subject} has the common name {quote(shown)}, not {quote(name)}"
             place = Origin(f"{inspection.folder}/enclaves{subject}/{CERTIFICATE}")
             help_ = f"'keymint install {name_of(subject)}' writes it again"
             yield Diagnostic.error("zenoh-common-name", message, place, help_, subject)

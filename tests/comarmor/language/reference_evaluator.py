@@ -9,7 +9,7 @@ from comarmor.errors import ComArmorError, Reason
 from comarmor.language.syntax import Decision
 from comarmor.patterns.expression import rule_matches, rule_matches_partition
 from comarmor.rules import PARTS, PERMISSIONS, Effect, Rule
-from comarmor.text import did_you_mean, quoted
+from comarmor.text import did_you_mean, quote
 
 
 def decide(rules: Sequence[Rule], kind: str, permission: str, name: str, partitions: Sequence[str] = ()) -> Decision:
@@ -37,7 +37,7 @@ def decide(rules: Sequence[Rule], kind: str, permission: str, name: str, partiti
     )
     denied = next((decision for decision in decisions if not decision.allowed), None)
     if denied is not None:
-        part = f"a part of it, {denied.permission} {quoted(denied.object)}, is denied: "
+        part = f"a part of it, {denied.permission} {quote(denied.object)}, is denied: "
         reason = Reason((part, *denied.reason.parts))
         return Decision(kind, permission, name, names, Effect.DENY, denied.rules, reason, decisions)
     deciding = tuple(dict.fromkeys(rule for decision in decisions for rule in decision.rules))
@@ -53,7 +53,7 @@ def _decide_elementary(
     matching = [rule for rule in rules if rule_matches(rule, kind, permission, name)]
     allowing: dict[Rule, None] = {}
     for partition in partitions or ("",):
-        shown = f" in partition {quoted(partition)}" if partition else ""
+        shown = f" in partition {quote(partition)}" if partition else ""
         denying = tuple(
             rule for rule in matching if rule.effect is Effect.DENY and rule_matches_partition(rule, partition)
         )
@@ -75,13 +75,13 @@ def _decide_elementary(
 def _known(kind: str, permission: str) -> None:
     if kind not in PERMISSIONS:
         raise ComArmorError(
-            f"unknown kind {quoted(kind)}, expected one of {', '.join(PERMISSIONS)}",
+            f"unknown kind {quote(kind)}, expected one of {', '.join(PERMISSIONS)}",
             help=did_you_mean(kind, PERMISSIONS),
             code="unknown-kind",
         )
     if permission not in PERMISSIONS[kind]:
         raise ComArmorError(
-            f"unknown permission {quoted(permission)} of {kind}, expected one of {', '.join(PERMISSIONS[kind])}",
+            f"unknown permission {quote(permission)} of {kind}, expected one of {', '.join(PERMISSIONS[kind])}",
             help=did_you_mean(permission, PERMISSIONS[kind]),
             code="unknown-permission",
         )

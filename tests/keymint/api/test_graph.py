@@ -16,8 +16,8 @@ from keymint.api.graph import (
     Graph,
     Object,
     complete,
-    differing,
-    generalised,
+    differing_names,
+    general_expression,
     is_generated,
 )
 
@@ -97,12 +97,12 @@ TYPES = "/get_type_description"
     ],
 )
 def test_only_the_generated_part_of_a_known_name(name: str, expression: str | None) -> None:
-    assert generalised(name, "ros_service")[0] == (expression or name)
-    assert bool(generalised(name, "ros_service")[1]) == (expression is not None)
+    assert general_expression(name, "ros_service")[0] == (expression or name)
+    assert bool(general_expression(name, "ros_service")[1]) == (expression is not None)
 
 
 def test_parameters_have_the_name_of_their_node() -> None:
-    assert generalised("/launch_ros_17", "ros_parameter")[0] == "/launch_ros_*"
+    assert general_expression("/launch_ros_17", "ros_parameter")[0] == "/launch_ros_*"
     assert is_generated("/launch_ros_17")
     assert not is_generated("/arm_1")
 
@@ -125,7 +125,7 @@ def record(*names: str, subject: str = "/a") -> Graph:
     ],
 )
 def test_names_that_two_records_have_in_different_forms(before: str, now: str, pattern: str | None) -> None:
-    found = list(differing(record(before, "/same_7"), record(now, "/same_7")))
+    found = list(differing_names(record(before, "/same_7"), record(now, "/same_7")))
     assert len(found) == (pattern is not None)
     for note in found:
         assert (note.code, note.subject) == ("names-differ", "/a")
@@ -134,5 +134,5 @@ def test_names_that_two_records_have_in_different_forms(before: str, now: str, p
 
 
 def test_what_one_record_has_twice_is_no_matter_of_records() -> None:
-    assert list(differing(record("/arm_1", "/arm_2"), record("/arm_1", "/arm_2"))) == []
-    assert list(differing(record("/arm_1"), record("/arm_2", subject="/b"))) == []
+    assert list(differing_names(record("/arm_1", "/arm_2"), record("/arm_1", "/arm_2"))) == []
+    assert list(differing_names(record("/arm_1"), record("/arm_2", subject="/b"))) == []

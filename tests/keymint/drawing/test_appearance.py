@@ -8,13 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from comarmor.rules import PERMISSIONS
-from comarmor.text import printable
+from comarmor.text import one_line
 from keymint.drawing.appearance import DARK, KIND_NAMES, KINDS, LIGHT, shorten
 
 
 @pytest.mark.parametrize(("text", "shown"), [("/a_b", "/a_b"), ("a\u202eb\x01", "a\\u202eb\\x01"), ("漢", "漢")])
 def test_unprintable_characters_are_escaped(text: str, shown: str) -> None:
-    assert printable(text) == shown
+    assert one_line(text) == shown
 
 
 @given(st.text(max_size=200), st.integers(3, 60))
