@@ -211,8 +211,12 @@ def refuse(path: str | Path, error: OSError) -> NoReturn:
 
 
 def mount_of(opened: int) -> str:
-    """Return an identifier of the mount of an open folder; one file system may be mounted more than once."""
-    with contextlib.suppress(OSError), open(f"/proc/self/fdinfo/{opened}", encoding="ascii") as info:  # noqa: PTH123
+    """Return an identifier of the mount of an open folder; one file system may be mounted more than once.
+
+    Raises:
+        OSError: the system does not tell it, although ``/proc`` is there.
+    """
+    with contextlib.suppress(FileNotFoundError), open(f"/proc/self/fdinfo/{opened}", encoding="ascii") as info:  # noqa: PTH123
         for line in info:
             if line.startswith("mnt_id:"):
                 return line
@@ -264,7 +268,7 @@ def sync_file_system(opened: int) -> bool:
         OSError: the system could not write everything.
     """
     function = _syncfs()
-    if function is None or _kind_of(mount_of(opened)) not in _LOCAL:
+    if function is None or _kind_of(opened) not in _LOCAL:
         return False
     if function(opened):
         number = ctypes.get_errno()
@@ -274,14 +278,15 @@ def sync_file_system(opened: int) -> bool:
     return True
 
 
-def _kind_of(mount: str) -> str:
-    """Return the type of a mounted file system; see proc_pid_mountinfo(5)."""
-    identifier = mount.removeprefix("mnt_id:").strip()
-    with contextlib.suppress(OSError), open("/proc/self/mountinfo", encoding="utf-8", errors="replace") as lines:  # noqa: PTH123
-        for line in lines:
-            fields, _, kind = line.partition(" - ")
-            if fields.split(" ", 1)[0] == identifier:
-                return kind.split(" ", 1)[0]
+def _kind_of(opened: int) -> str:
+    """Return the type of the file system of an open folder, or an empty text; see proc_pid_mountinfo(5)."""
+    with contextlib.suppress(OSError):
+        identifier = mount_of(opened).removeprefix("mnt_id:").strip()
+        with open("/proc/self/mountinfo", encoding="utf-8", errors="replace") as lines:  # noqa: PTH123
+            for line in lines:
+                fields, _, kind = line.partition(" - ")
+                if fields.split(" ", 1)[0] == identifier:
+                    return kind.split(" ", 1)[0]
     return ""
 
 

@@ -100,6 +100,26 @@ def test_the_real_call_on_the_real_file_system(folder: int) -> None:
     assert sync_file_system(folder) is (kind in file_writing._LOCAL)
 
 
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EACCES, errno.EMFILE])
+def test_a_mount_that_cannot_be_asked_about_is_no_other_mount(
+    folder: int, number: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: object, **__: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(file_writing, "open", refused, raising=False)
+    with pytest.raises(OSError, match=os.strerror(number)):
+        file_writing.mount_of(folder)
+
+
+def test_without_proc_a_mount_is_its_device(folder: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    def gone(*_: object, **__: object) -> None:
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
+
+    monkeypatch.setattr(file_writing, "open", gone, raising=False)
+    assert file_writing.mount_of(folder) == str(os.fstat(folder).st_dev)
+
+
 def test_a_tree_is_synchronised_without_following_links_or_waiting_for_pipes(
     tmp_path: Path, folder: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
