@@ -204,16 +204,16 @@ def test_transports_read_copies_that_go_at_the_end_and_private_keys_only_where_t
     monkeypatch.setattr("tempfile.tempdir", None)
     (tmp_path / "tmp").mkdir()
     seen: list[Path] = []
-    from keymint.verify import verification
+    from keymint.verify.compare import TransportComparison
 
-    real = verification.compare_endpoints
+    real = TransportComparison.all_endpoints
 
     def watched(*arguments: Any) -> Any:
         seen.extend((tmp_path / "tmp").rglob("*"))
         assert all(path.stat().st_mode & 0o077 == 0 for path in (tmp_path / "tmp").iterdir())
         return real(*arguments)
 
-    monkeypatch.setattr(verification, "compare_endpoints", watched)
+    monkeypatch.setattr(TransportComparison, "all_endpoints", watched)
     assert keymint("verify", "-w", workspace, "-t", "omg").code == 0
     assert {path.name for path in seen} >= {"permissions.p7s", "cert.pem"}
     assert "key.pem" not in {path.name for path in seen}
