@@ -102,7 +102,8 @@ class PolicyFiles:
 
     Attributes:
         roots: its root documents, in order.
-        seen: the :func:`fingerprint` of every path that was looked at, whether it exists or not.
+        seen: the :func:`comarmor.language.source.fingerprint` of every path that was looked at, whether it exists or
+            not.
         shipped: those of its files that packages ship, each once.
     """
 

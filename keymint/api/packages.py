@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Source packages: identity and rights of one subject, keys and certificates, and what its build types read."""
+"""Keys, certificates and authorities, and source packages: identity and rights of one subject, for its build types."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Transports, simulated and real, and their decisions; sources of graphs, which observe them."""
+"""Transports, simulated and real, their decisions on installed enclaves, and sources of graphs, which observe them."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compare the installed keystore with its expected state: ``keymint check``.
 
-The build type checks the content of an enclave. This package checks the workspace: the key of each enclave, its files
+The build type checks the content of an enclave. This module checks the workspace: the key of each enclave, its files
 on the disk, the record of installed files, unexpected files, authorities, and the files that all enclaves share.
 """
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Software of a vendor: that it is missing, and a process of it that answers commands, line by line."""
+"""Software of a vendor: that it is missing, a process of it that answers commands, and transports that ask it."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ class CommandProcess:
 
 
 class VendorTransport(Transport):
-    """What such transports have in common.
+    """What transports that ask the software of a vendor have in common.
 
     Args:
         environment: the cache, and the environment variables of processes.

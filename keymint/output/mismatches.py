@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Requests, rules and mismatches between policy and transports, in words and as diagnostics."""
+"""Requests, rules and mismatches between policy and transports: in words, as diagnostics, for SARIF and JUnit."""
 
 from __future__ import annotations
 

@@ -3,7 +3,7 @@
 
 Nothing here reads a file, the clock or the environment: times and passwords are arguments.
 
-Modules: :mod:`~keymint.pki.distinguished_names` (distinguished names), :mod:`~keymint.pki.keys`,
-:mod:`~keymint.pki.certificates` (issuing), :mod:`~keymint.pki.extensions` (X.509 v3 extensions from text),
-:mod:`~keymint.pki.smime` (signed documents) and :mod:`~keymint.pki.examine` (identities and certification paths).
+Start at :mod:`~keymint.pki.keys`, :mod:`~keymint.pki.certificates` (issuing) or :mod:`~keymint.pki.smime` (signed
+documents). :mod:`~keymint.pki.examine` judges identities and certification paths; keys in PKCS #11 tokens are in
+:mod:`keymint.pki.tokens`.
 """

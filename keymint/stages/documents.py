@@ -4,9 +4,9 @@
 They are those of a package, or those over all packages of a build type; the name of the latter is the key of their
 record (:func:`keymint.workspace.package_build_types.record_key`).
 
-The stages treat the latter, as one more package. But many packages give their content, one
-signer signs it, and they lie outside of the enclaves. They are written before any enclave: rights of a new subject
-admit nobody until its enclave is there, and the rights of a removed subject end before anything else changes.
+The stages treat the latter as one more package. But many packages give their content, one signer signs it, and they lie
+outside of the enclaves. They are written before any enclave: rights of a new subject admit nobody until its enclave is
+there, and the rights of a removed subject end before anything else changes.
 """
 
 from __future__ import annotations

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The order create, build, install, prove, which nothing else knows: verbs say what is different for them."""
+"""The order create, build, install, prove, which nothing else knows: verbs say what is different for them.
+
+Start at :func:`conduct`. What stages changed may demand more: packages that must follow, certificates to revoke, and
+revocation lists for the other enclaves.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plan the files of the install space that all enclaves share."""
+"""Plan what changes with the enclaves: the files that all share, and the removal of an enclave."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Load stored private keys: read their passwords, and check that their kind is the specified one."""
+"""Load stored private keys, with their passwords, if their kind is the specified one; record which keys are in use."""
 
 from __future__ import annotations
 

@@ -97,7 +97,7 @@ def _profile_size(needs: Iterable[Need]) -> int:
     return len(profiles({"p": fold(map(literal, needs))}))
 
 
-_Need = tuple[str, str, str, tuple[str, ...]]
+_Request = tuple[str, str, str, tuple[str, ...]]
 """Kind, permission, name and partitions of an elementary request."""
 _Unit = tuple[Spot, str]
 """Place of an attachment, and a permission. The place, because the expanded text depends on the subject."""
@@ -120,7 +120,7 @@ def conflict(edge: Edge, decision: comarmor.Decision) -> Diagnostic | None:
 def unused_rule_notes(policy: comarmor.Policy, graph: Graph) -> Iterator[Diagnostic]:
     """Yield notes on rules that no edge of a graph uses, and on subjects of the policy that the graph does not have."""
     units: dict[Spot, dict[_Unit, bool]] = {}
-    needs: dict[str, set[_Need]] = {}
+    needs: dict[str, set[_Request]] = {}
     for edge in graph.edges:
         needs.setdefault(edge.subject, set()).update(_elementary(edge))
     for subject in graph.subjects:
@@ -137,12 +137,12 @@ def unused_rule_notes(policy: comarmor.Policy, graph: Graph) -> Iterator[Diagnos
             yield Diagnostic.note("learn-unused-subject", message, subject=subject)
 
 
-def _elementary(edge: Edge) -> Iterator[_Need]:
+def _elementary(edge: Edge) -> Iterator[_Request]:
     for kind, permission, suffix in parts(edge.object.kind, edge.permission):
         yield kind, permission, edge.object.name + suffix, edge.object.partitions or ("",)
 
 
-def _used(rule: comarmor.ProfileRule, subject: str, needs: Iterable[_Need]) -> Iterator[tuple[_Unit, bool]]:
+def _used(rule: comarmor.ProfileRule, subject: str, needs: Iterable[_Request]) -> Iterator[tuple[_Unit, bool]]:
     """Yield each attachment and permission of a rule, and whether the subject needs it."""
     for permission in rule.permissions:
         candidates = [

@@ -2,6 +2,7 @@
 """Trust anchors: the workspace's authorities that an enclave must rest on.
 
 Proofs rest on the certificates in ``public/``; what speaks against one is judged in :mod:`keymint.authority.examine`.
+Whether an enclave rests on them is asked of its build type.
 """
 
 from __future__ import annotations

@@ -21,7 +21,6 @@ from comarmor.values import dataclass
 from keymint_ros2_dds import subject_names
 from keymint_ros2_dds.lowering.name_mapping import DISTROS
 from keymint_ros2_dds.reading import dialects
-from keymint_ros2_dds.reading import dialects as fnmatch
 from keymint_ros2_dds.reading.dialects import BLANKS, CRASHES, REFUSES, UNMODELLED, Quirk, VendorReading
 from keymint_ros2_dds.reading.signed_governance import GovernanceDocument
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, DocumentRule, PermissionsDocument
@@ -104,7 +103,7 @@ class Semantics:
     default_counts: bool = True
     min_only_is_exact: bool = False
     domains_count: bool = True
-    fnmatch: Dialect = fnmatch.STANDARD
+    fnmatch: Dialect = dialects.STANDARD
     pools_criteria: bool = False
     first_topic_decides: bool = False
     deny_default: bool = False
@@ -257,7 +256,7 @@ CYCLONE_DEVIATIONS = (
         date=dialects.cyclone_date, no_beginning_holds=True),
     _on("16", "trimmed-text", "white space around a text is ignored", reads_text=trim_blanks),
     _on("17", "fnmatch", "no escapes; only '!' negates a set; the ']' that ends a set is a member of it",
-        fnmatch=fnmatch.CYCLONE_DDS),
+        fnmatch=dialects.CYCLONE_DDS),
     _on("21", "one-authority", "only the first certificate of identity_ca.cert.pem is trusted", one_authority=True),
     _on("23", "no-keys-in-tokens", "key.p11 is not read, and key.pem is missing", keys_in_tokens=False),
     _on("data tags", "tags-ignored", "data tags are ignored", tags_count=False),
@@ -278,7 +277,7 @@ FAST_DEVIATIONS = (
     _on("12", "min-only", "a range of domains with a minimum alone is that one domain", min_only_is_exact=True),
     _on("14", "zone-ignored", "the zone of a date is ignored", date=dialects.fast_date),
     _on("16", "blank-text", "a text of white space alone is empty", reads_text=unless_blank),
-    _on("17", "fnmatch", "expressions have no escapes", fnmatch=fnmatch.FAST_DDS),
+    _on("17", "fnmatch", "expressions have no escapes", fnmatch=dialects.FAST_DDS),
     _on("19", "rule-to-join", "a participant needs an allow_rule, even if joining is not controlled",
         needs_rule_to_join=True),
     _on("20", "topic-rules-both-ways",
@@ -350,7 +349,10 @@ def of_version(vendor: str, version: str) -> Variation:
 
 @functools.cache
 def shipped_models(distro: str) -> tuple[str, ...]:
-    """Return the names of the models that claims are made for: the standard, and what a distribution ships."""
+    """Return the names of the models that claims are made for: the standard, and one for each vendor.
+
+    It is the version that the distribution ships; the oldest one of a vendor that it does not ship.
+    """
     versions = DISTROS.get(distro, {})
     vendors = dict.fromkeys(each.vendor for each in VARIATIONS.values() if each.vendor)
     return OMG.name, *(of_version(each, versions.get(each, "")).name for each in vendors)

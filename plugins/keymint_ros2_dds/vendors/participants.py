@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Secure participants of a real vendor on loopback, each in a process of its own.
 
-A participant is a probe (:mod:`probes`) that reads one command per line. The words of a line are separated by
-tabs, and each line is answered by one line:
+A participant is a probe (:mod:`~keymint_ros2_dds.vendors.probe_builds`) that reads one command per line. The words of a
+line are separated by tabs, and each line is answered by one line:
 
 =================================================  ==================================================
 ``OPEN domain enclave crl …``                      ``OPENED``, or ``REFUSED reason``
