@@ -60,7 +60,8 @@ def translate(pattern: str, dialect: Dialect) -> str:
 _DATE = lazy_regex(r"(-?\d{4,})-(\d\d)-(\d\d)T(\d\d):(\d\d):(\d\d)(?:\.\d+)?(?:Z|([+-])(\d\d):(\d\d))?", re.ASCII)
 _TO_THE_SECOND = lazy_regex(r"\s*(\d{4})-(\d\d)-(\d\d)T(\d\d):(\d\d):(\d\d)", re.ASCII)
 _LAST_OF_CYCLONE = datetime(2262, 4, 11, 23, 47, 16, tzinfo=UTC)
-_BLANKS = " \t\v\r\n"
+BLANKS = " \t\v\r\n"
+"""White space of XML, as Cyclone DDS trims it."""
 _FIRST, _LAST = datetime.min.replace(tzinfo=UTC), datetime.max.replace(tzinfo=UTC)
 _LAST_MINUTE, _LAST_YEAR = 59, 9999
 
@@ -71,7 +72,7 @@ def standard_date(text: str) -> datetime | None:
 
     A year beyond the range of :class:`datetime` is the end of that range.
     """
-    match = _DATE.fullmatch(text.strip(_BLANKS))
+    match = _DATE.fullmatch(text.strip(BLANKS))
     if match is None:
         return None
     if not 1 <= (year := int(match[1])) <= _LAST_YEAR:
@@ -85,7 +86,7 @@ def standard_date(text: str) -> datetime | None:
 @lru_cache(maxsize=64)
 def cyclone_date(text: str) -> datetime | None:
     """Read a date as Cyclone DDS: years have four digits, zones end at 12:00, and time ends in 2262."""
-    match = _DATE.fullmatch(text.strip(_BLANKS))
+    match = _DATE.fullmatch(text.strip(BLANKS))
     if match is None or len(match[1]) != len("2262"):
         return None
     if match[7] and (int(match[8]), int(match[9])) > (12, 0):
@@ -125,10 +126,6 @@ def _shifted(moment: datetime, by: timedelta) -> datetime:
         return moment + by
     except OverflowError:
         return _LAST if by > timedelta() else _FIRST
-
-
-BLANKS = " \t\v\r\n"
-"""White space of XML, as Cyclone DDS trims it."""
 
 
 class VendorReading(Enum):
