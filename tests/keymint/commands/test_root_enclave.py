@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from keymint.client import Client
-from tests.conftest import CHECKOUT, snapshot
+from tests.conftest import CHECKOUT, NOW, snapshot
 
 POLICY = """<profiles xmlns:xi="http://www.w3.org/2001/XInclude">
   <profile name="root">
@@ -286,3 +286,10 @@ def test_a_keystore_with_a_common_name_alone_is_adopted_unchanged(keymint, tmp_p
         path: content for path, (_, _, content) in before.items()
     }
     assert "names-confused" in keymint("check", "-w", "taken", "--json").codes()
+
+
+def test_it_is_named_when_it_is_due_next(keymint, ws: Path) -> None:
+    keymint("renew", "talker", "-w", ws, env={"SOURCE_DATE_EPOCH": str(NOW + 86_400)})
+    outcome = keymint("renew", "-w", ws)
+    assert (outcome.code, outcome.out.split(",")[0]) == (0, "nothing is due; next is /")
+    assert keymint("renew", "-w", ws, "--json").document["result"]["next"]["subject"] == "/"
