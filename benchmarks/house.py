@@ -5,7 +5,7 @@ usage: python benchmarks/house.py [REV...]
 
 Without a revision the working tree is counted, which ``.`` names beside others; several revisions stand side by side
 (each is unpacked by ``git archive`` into a temporary folder). Only ``comarmor``, ``keymint`` and ``plugins`` count.
-``tests/test_house.py`` holds numbers of it as budgets that may fall and never rise.
+``tests/test_architecture.py`` holds numbers of it as budgets that may fall and never rise.
 
 What the rows count:
 

@@ -20,8 +20,8 @@ from keymint.workspace.session import Session
 STAGE = "register"
 
 
-@verb(dry_run=True)
-def issued(
+@verb(dry_run=True, name="issued")
+def issued_certificates(
     run: Run,
     names: tuple[str, ...] = packages_argument,
     revoked: bool = flag("Only certificates that were revoked."),
