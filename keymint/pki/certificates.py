@@ -104,6 +104,7 @@ def load_bundle(pem: bytes, where: Origin | None = None) -> tuple[x509.Certifica
         ) from None
 
 
+@functools.lru_cache(maxsize=16)
 def load_first(pem: bytes, where: Origin | None = None, *, with_lists: bool = False) -> x509.Certificate:
     """Return the first certificate of a PEM file: the one that software which expects one authority reads.
 

@@ -8,7 +8,6 @@ supports: every field is either compared with its one legal value, or covered by
 from __future__ import annotations
 
 import hashlib
-from functools import lru_cache
 from typing import NamedTuple
 
 from cryptography import x509
@@ -119,11 +118,23 @@ def parse(signature: bytes) -> Signature:
 
 def verify(signature: Signature, text: bytes, certificate: x509.Certificate) -> bool:
     """Return whether a signature over a text was made with a certificate, which must be the embedded one."""
-    return (
-        (signature.certificate, signature.issuer_and_serial) == _identification(certificate)
-        and _attributes_match(signature, text)
-        and _signed(signature, certificate)
-    )
+    fields = der.elements(der.single(certificate.tbs_certificate_bytes, der.SEQUENCE))
+    serial, _, issuer = fields[1:4] if fields[0][0] == der.CONTEXT_0 else fields[:3]
+    # The signature names it by IssuerAndSerialNumber (RFC 5652, 10.2.4), here with its exact bytes.
+    named = certificate.public_bytes(serialization.Encoding.DER), der.tlv(der.SEQUENCE, issuer, serial)
+    if (signature.certificate, signature.issuer_and_serial) != named or not _attributes_match(signature, text):
+        return False
+    key, digest = certificate.public_key(), _DIGESTS[signature.digest]
+    try:
+        if isinstance(key, ec.EllipticCurvePublicKey) and signature.algorithm in digest.with_ecdsa:
+            key.verify(signature.value, signature.attributes, ec.ECDSA(digest.algorithm))
+        elif isinstance(key, rsa.RSAPublicKey) and signature.algorithm in _RSA:
+            key.verify(signature.value, signature.attributes, padding.PKCS1v15(), digest.algorithm)
+        else:
+            return False
+    except InvalidSignature:
+        return False
+    return True
 
 
 def _attributes_match(signature: Signature, text: bytes) -> bool:
@@ -138,28 +149,6 @@ def _attributes_match(signature: Signature, text: bytes) -> bool:
         _MESSAGE_DIGEST: der.tlv(der.SET, der.tlv(der.OCTET_STRING, hashlib.new(signature.digest, text).digest())),
     }
     return len({kind for kind, _ in pairs}) == len(pairs) and required.items() <= {tuple(pair) for pair in pairs}
-
-
-def _signed(signature: Signature, certificate: x509.Certificate) -> bool:
-    key, digest = certificate.public_key(), _DIGESTS[signature.digest]
-    try:
-        if isinstance(key, ec.EllipticCurvePublicKey) and signature.algorithm in digest.with_ecdsa:
-            key.verify(signature.value, signature.attributes, ec.ECDSA(digest.algorithm))
-        elif isinstance(key, rsa.RSAPublicKey) and signature.algorithm in _RSA:
-            key.verify(signature.value, signature.attributes, padding.PKCS1v15(), digest.algorithm)
-        else:
-            return False
-    except InvalidSignature:
-        return False
-    return True
-
-
-@lru_cache(maxsize=16)
-def _identification(certificate: x509.Certificate) -> tuple[bytes, bytes]:
-    """Return the DER of a signer's certificate, and IssuerAndSerialNumber (RFC 5652, 10.2.4) with its exact bytes."""
-    fields = der.elements(der.single(certificate.tbs_certificate_bytes, der.SEQUENCE))
-    serial, _, issuer = fields[1:4] if fields[0][0] == der.CONTEXT_0 else fields[:3]
-    return certificate.public_bytes(serialization.Encoding.DER), der.tlv(der.SEQUENCE, issuer, serial)
 
 
 def _inside(data: bytes, tag: int, what: str) -> bytes:

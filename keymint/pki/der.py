@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import base64
 
+from cryptography import x509
+
 INTEGER = 0x02
 OCTET_STRING = 0x04
 NULL = 0x05
-OBJECT_IDENTIFIER = 0x06
 UTF8_STRING = 0x0C
 PRINTABLE_STRING = 0x13
 IA5_STRING = 0x16
@@ -45,14 +46,8 @@ def base64_lines(content: bytes) -> bytes:
 
 def oid(dotted: str) -> bytes:
     """Return an OBJECT IDENTIFIER element for a dotted identifier such as ``1.2.840.113549.1.7.2``."""
-    first, second, *rest = (int(arc) for arc in dotted.split("."))
-    octets = bytearray()
-    for arc in (40 * first + second, *rest):
-        group = [arc & 0x7F]
-        while arc := arc >> 7:
-            group.append(0x80 | (arc & 0x7F))
-        octets += bytes(reversed(group))
-    return tlv(OBJECT_IDENTIFIER, bytes(octets))
+    # The library encodes one only as a part of something: of a SEQUENCE of them, here.
+    return single(x509.ExtendedKeyUsage([x509.ObjectIdentifier(dotted)]).public_bytes(), SEQUENCE)
 
 
 def elements(data: bytes) -> list[bytes]:

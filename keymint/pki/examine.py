@@ -113,24 +113,16 @@ class IdentityCheck:
         if certificate.subject != expected:
             message = f"is for {to_text(certificate.subject)!r}, not {to_text(expected)!r}"
             yield self._error("certificate-subject", CERTIFICATE, message)
-        yield from self._key(certificate, anchors.public_key)
-
-    def _for_subject(self, diagnostic: Diagnostic) -> Diagnostic:
-        return replace(diagnostic, where=diagnostic.where or self._where(""), subject=self._subject)
-
-    def _key(self, certificate: x509.Certificate, public_key: bytes) -> Iterator[Diagnostic]:
-        """Check that the key, if the enclave has one, is that of its certificate.
-
-        Args:
-            certificate: the identity certificate.
-            public_key: the key that it must be for (PEM), if the private key is elsewhere; empty if it may be for any.
-        """
-        if public_key and keys.public_from_pem(public_key) != certificate.public_key():
+        # Where the private key is elsewhere, the package has the public one.
+        if anchors.public_key and keys.public_from_pem(anchors.public_key) != certificate.public_key():
             yield self._error("key-mismatch", CERTIFICATE, "is for another public key than the package has")
         own, unread = self.own_key
         yield from unread
         if own is not None and not keys.matches(own, certificate):
             yield self._error("key-mismatch", KEY, "is not the key of the certificate beside it")
+
+    def _for_subject(self, diagnostic: Diagnostic) -> Diagnostic:
+        return replace(diagnostic, where=diagnostic.where or self._where(""), subject=self._subject)
 
     # -- dates ---------------------------------------------------------------------------------------------------
 
@@ -248,8 +240,7 @@ def verify_chain(
     except KeymintError as error:
         unread = error.diagnostics  # the certificate, or its authorities: then it is checked alone
     for depth, link in enumerate(path):
-        problems += [] if at is None else _time(link, at)
-        problems += [*_critical(link), *(_authority(link, path[1:depth]) if depth else ())]
+        problems += [*_certificate(link, at), *(_authority(link, path[1:depth]) if depth else ())]
     return [*unread, *(Diagnostic.error(code, message, where, help_) for code, message, help_ in problems)]
 
 
@@ -293,23 +284,21 @@ def _signature(certificate: x509.Certificate) -> _Problem:
     )
 
 
-def _time(certificate: x509.Certificate, at: datetime) -> Iterator[_Problem]:
+def _certificate(certificate: x509.Certificate, at: datetime | None) -> Iterator[_Problem]:
+    """Check the dates of a certificate, if time matters, and its critical extensions."""
     begin, end = certificates.period(certificate)
-    if at > end:
+    if at and at > end:
         yield (
             "certificate-expired",
             f"the certificate of {_shown(certificate.subject)} expired on {end:%Y-%m-%dT%H:%M:%SZ}",
             "'keymint renew' issues it again with later dates; that of an authority: 'keymint authority renew'",
         )
-    elif at < begin:
+    elif at and at < begin:
         yield (
             "certificate-not-yet-valid",
             f"the certificate of {_shown(certificate.subject)} begins {begin:%Y-%m-%dT%H:%M:%SZ}",
             "compare the clock of this machine, or give it an earlier start",
         )
-
-
-def _critical(certificate: x509.Certificate) -> Iterator[_Problem]:
     for extension in certificate.extensions:
         if extension.critical and not isinstance(extension.value, _UNDERSTOOD):
             yield (
@@ -347,48 +336,3 @@ def _authority(certificate: x509.Certificate, below: Sequence[x509.Certificate])
 
 def _shown(name: x509.Name) -> str:
     return repr(distinguished_names.to_text(name))
-
-
-# -- who signs ---------------------------------------------------------------------------------------------------------
-
-
-def issuer_with(certificate: x509.Certificate, key: keys.PrivateKey, where: Origin) -> certificates.Issuer:
-    """Return an authority with its private key.
-
-    Args:
-        certificate: its certificate.
-        key: its key.
-        where: the authority, for messages.
-
-    Raises:
-        KeymintError: they do not belong together.
-    """
-    if not keys.matches(key, certificate):
-        raise KeymintError(
-            "the private key does not belong to the certificate",
-            where=where,
-            help="restore the replaced file",
-            code="key-mismatch",
-        )
-    return certificates.Issuer(certificate, key)
-
-
-def require_signer(authority: x509.Certificate, at: datetime | None) -> None:
-    """Require that an authority may sign documents.
-
-    Args:
-        authority: its certificate.
-        at: the time at which it must be valid (aware); None: time does not matter.
-
-    Raises:
-        KeymintError: it may not, or not at this time.
-    """
-    if problem := certificates.can_sign_documents(authority):
-        raise KeymintError.of([problem])
-    begin, end = certificates.period(authority)
-    if at is not None and not begin <= at <= end:
-        raise KeymintError(
-            f"the authority's certificate is valid from {begin:%Y-%m-%d} to {end:%Y-%m-%d}, not at {at:%Y-%m-%d}",
-            help="extend the validity of the authority in the profile, then install",
-            code="smime-authority-expired",
-        )

@@ -7,7 +7,7 @@ import ipaddress
 import re
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from cryptography import x509
 from cryptography.x509.oid import AuthorityInformationAccessOID, ExtendedKeyUsageOID, ExtensionOID
@@ -22,6 +22,8 @@ from keymint.pki.keys import PublicKey
 
 _E = TypeVar("_E", bound=x509.ExtensionType)
 _T = TypeVar("_T")
+_Reader = Callable[[str, "Context"], x509.ExtensionType | None]
+"""Returns the value of an extension for its text; None: omit the extension."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +60,7 @@ _EXTENDED_KEY_USAGES = {
     "msSmartcardLogin": ExtendedKeyUsageOID.SMARTCARD_LOGON,
     "anyExtendedKeyUsage": ExtendedKeyUsageOID.ANY_EXTENDED_KEY_USAGE,
 }
+_ACCESS_METHODS = {"OCSP": AuthorityInformationAccessOID.OCSP, "caIssuers": AuthorityInformationAccessOID.CA_ISSUERS}
 _NS_COMMENT = x509.ObjectIdentifier("2.16.840.1.113730.1.13")
 _ANY_POLICY = x509.ObjectIdentifier("2.5.29.32.0")
 _DOTTED = lazy_regex(r"[0-2](?:\.(?:0|[1-9][0-9]*))+")
@@ -212,10 +215,12 @@ def _basic_constraints(text: str, _: Context) -> x509.BasicConstraints:
     return x509.BasicConstraints(authority, path_length)
 
 
-def _extended_key_usage(text: str, _: Context) -> x509.ExtendedKeyUsage:
-    return x509.ExtendedKeyUsage(
-        _oid(item) if item[0].isdigit() else _one_of(item, _EXTENDED_KEY_USAGES) for item in _items(text)
-    )
+def _extended_key_usage(item: str) -> x509.ObjectIdentifier:
+    return _oid(item) if item[0].isdigit() else _one_of(item, _EXTENDED_KEY_USAGES)
+
+
+def _policy(item: str) -> x509.PolicyInformation:
+    return x509.PolicyInformation(_ANY_POLICY if item == "anyPolicy" else _oid(item), None)
 
 
 def _general_name(item: str) -> x509.GeneralName:
@@ -235,30 +240,13 @@ def _general_name(item: str) -> x509.GeneralName:
     return maker(text)
 
 
-def _general_names(text: str) -> list[x509.GeneralName]:
-    return [_general_name(item) for item in _items(text)]
+def _distribution_point(item: str) -> x509.DistributionPoint:
+    return x509.DistributionPoint([_general_name(item)], None, None, None)
 
 
-def _certificate_policies(text: str, _: Context) -> x509.CertificatePolicies:
-    return x509.CertificatePolicies(
-        x509.PolicyInformation(_ANY_POLICY if item == "anyPolicy" else _oid(item), None) for item in _items(text)
-    )
-
-
-def _crl_distribution_points(text: str, _: Context) -> x509.CRLDistributionPoints:
-    return x509.CRLDistributionPoints(x509.DistributionPoint([name], None, None, None) for name in _general_names(text))
-
-
-def _authority_information_access(text: str, _: Context) -> x509.AuthorityInformationAccess:
-    methods = {
-        "OCSP": AuthorityInformationAccessOID.OCSP,
-        "caIssuers": AuthorityInformationAccessOID.CA_ISSUERS,
-    }
-    descriptions = []
-    for item in _items(text):
-        method, _semicolon, location = (part.strip() for part in item.partition(";"))
-        descriptions.append(x509.AccessDescription(_one_of(method, methods), _general_name(location)))
-    return x509.AuthorityInformationAccess(descriptions)
+def _access_description(item: str) -> x509.AccessDescription:
+    method, _, location = (part.strip() for part in item.partition(";"))
+    return x509.AccessDescription(_one_of(method, _ACCESS_METHODS), _general_name(location))
 
 
 def _subject_key_identifier(text: str, context: Context) -> x509.SubjectKeyIdentifier | None:
@@ -277,13 +265,11 @@ def _authority_key_identifier(text: str, context: Context) -> x509.AuthorityKeyI
         raise ValueError("expected keyid, issuer (each perhaps with :always) or none")
     if context.issuer is None:
         return x509.AuthorityKeyIdentifier.from_issuer_public_key(context.public_key)
-    identifier = authority_key_identifier(context.issuer).key_identifier
-    if "issuer" not in identifiers:
-        return x509.AuthorityKeyIdentifier(identifier, None, None)
+    identifier, named = authority_key_identifier(context.issuer).key_identifier, "issuer" in identifiers
     return x509.AuthorityKeyIdentifier(
         identifier if "keyid" in identifiers else None,
-        [x509.DirectoryName(context.issuer.issuer)],
-        context.issuer.serial_number,
+        [x509.DirectoryName(context.issuer.issuer)] if named else None,
+        context.issuer.serial_number if named else None,
     )
 
 
@@ -316,21 +302,20 @@ def _raw(text: str) -> bytes:
     return content
 
 
-_KNOWN: dict[str, tuple[x509.ObjectIdentifier, Callable[[str, Context], x509.ExtensionType | None]]] = {
+def _of_entries(kind: Any, read: Callable[[str], object]) -> tuple[x509.ObjectIdentifier, _Reader]:
+    """Return the OID and the reader of a kind of extension that has a list, by what reads one entry of it."""
+    return kind.oid, lambda text, _: kind(map(read, _items(text)))
+
+
+_KNOWN: dict[str, tuple[x509.ObjectIdentifier, _Reader]] = {
     "basicConstraints": (ExtensionOID.BASIC_CONSTRAINTS, _basic_constraints),
     "keyUsage": (ExtensionOID.KEY_USAGE, lambda text, _: key_usage(*_items(text))),
-    "extendedKeyUsage": (ExtensionOID.EXTENDED_KEY_USAGE, _extended_key_usage),
-    "subjectAltName": (
-        ExtensionOID.SUBJECT_ALTERNATIVE_NAME,
-        lambda text, _: x509.SubjectAlternativeName(_general_names(text)),
-    ),
-    "issuerAltName": (
-        ExtensionOID.ISSUER_ALTERNATIVE_NAME,
-        lambda text, _: x509.IssuerAlternativeName(_general_names(text)),
-    ),
-    "certificatePolicies": (ExtensionOID.CERTIFICATE_POLICIES, _certificate_policies),
-    "crlDistributionPoints": (ExtensionOID.CRL_DISTRIBUTION_POINTS, _crl_distribution_points),
-    "authorityInfoAccess": (ExtensionOID.AUTHORITY_INFORMATION_ACCESS, _authority_information_access),
+    "extendedKeyUsage": _of_entries(x509.ExtendedKeyUsage, _extended_key_usage),
+    "subjectAltName": _of_entries(x509.SubjectAlternativeName, _general_name),
+    "issuerAltName": _of_entries(x509.IssuerAlternativeName, _general_name),
+    "certificatePolicies": _of_entries(x509.CertificatePolicies, _policy),
+    "crlDistributionPoints": _of_entries(x509.CRLDistributionPoints, _distribution_point),
+    "authorityInfoAccess": _of_entries(x509.AuthorityInformationAccess, _access_description),
     "subjectKeyIdentifier": (ExtensionOID.SUBJECT_KEY_IDENTIFIER, _subject_key_identifier),
     "authorityKeyIdentifier": (ExtensionOID.AUTHORITY_KEY_IDENTIFIER, _authority_key_identifier),
     "nsComment": (_NS_COMMENT, lambda text, _: x509.UnrecognizedExtension(_NS_COMMENT, _string("IA5", text))),

@@ -55,7 +55,7 @@ from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint import api
 from keymint.errors import KeymintError
-from keymint.pki import certificates, cms, der, examine, keys
+from keymint.pki import certificates, cms, der, keys
 
 UNREAD = "smime-form"
 """Error code for a file in a form that this reader refuses: how other software reads it is unknown."""
@@ -125,7 +125,14 @@ def load_signer(signer: api.SigningAuthority) -> certificates.Issuer:
     where = Origin(f"authority {signer.name}")
     certificate = certificates.load(signer.certificate, where)
     key = signer.token_key or keys.from_pem(signer.key, signer.password, where)
-    return examine.issuer_with(certificate, key, where)
+    if not keys.matches(key, certificate):
+        raise KeymintError(
+            "the private key does not belong to the certificate",
+            where=where,
+            help="restore the replaced file",
+            code="key-mismatch",
+        )
+    return certificates.Issuer(certificate, key)
 
 
 def sign(content: bytes, certificate: x509.Certificate, key: keys.PrivateKey, where: Origin | None = None) -> bytes:
@@ -197,14 +204,22 @@ def _read(signed: bytes, ca_pem: bytes, at: datetime | None) -> SignedDocument:
     """Verify a signed document; places of errors have a line only."""
     document = unwrap(signed, _NAMELESS)
     signature = _parsed(document, _NAMELESS)
-    authority = _authority(ca_pem)
+    authority = certificates.load_first(ca_pem, with_lists=True)
     if signature.certificate != authority.public_bytes(serialization.Encoding.DER):
         raise KeymintError(
             "signed by another certificate than the authority's",
             help="'keymint install' signs it again",
             code="smime-signer",
         )
-    examine.require_signer(authority, at)
+    if problem := certificates.can_sign_documents(authority):
+        raise KeymintError.of([problem])
+    begin, end = certificates.period(authority)
+    if at is not None and not begin <= at <= end:
+        raise KeymintError(
+            f"the authority's certificate is valid from {begin:%Y-%m-%d} to {end:%Y-%m-%d}, not at {at:%Y-%m-%d}",
+            help="extend the validity of the authority in the profile, then install",
+            code="smime-authority-expired",
+        )
     if not cms.verify(signature, canonical_text(document.content), authority):
         raise KeymintError(
             "the signature is invalid: the document or its signature was altered",
@@ -212,11 +227,6 @@ def _read(signed: bytes, ca_pem: bytes, at: datetime | None) -> SignedDocument:
             code="smime-altered",
         )
     return document
-
-
-@functools.lru_cache(maxsize=16)
-def _authority(ca_pem: bytes) -> x509.Certificate:
-    return certificates.load_first(ca_pem, with_lists=True)
 
 
 def verify(signed: bytes, ca_pem: bytes, *, at: datetime | None = None, where: Origin | None = None) -> bytes:
