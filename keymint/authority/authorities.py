@@ -206,7 +206,8 @@ def _require_replaceable(files: AuthorityFiles) -> None:
 def _issued(
     files: AuthorityFiles, key: keys.PrivateKey, above: MintedAuthority | None, warnings: Sequence[Diagnostic]
 ) -> tuple[bytes, Sequence[Diagnostic]]:
-    issued = certificates.issue_authority(files.authority.certificate, key, above.issuer if above else None)
+    signer = above.issuer if above else key
+    issued = certificates.issue(files.authority.certificate, key.public_key(), signer, authority=True)
     return issued.pem, (*issued.diagnostics, *warnings)
 
 

@@ -205,8 +205,8 @@ def _made(session: Session, authority: Authority) -> tuple[bytes, bytes]:
         )
     renewed = replace(authority.issuance, renewed=periods.begin(session.now))
     after = session.after(plan_authority_issuance(session, name, renewed, "")).session()
-    issuer = issuer_of(session, authority)
-    return certificates.issue_authority(authority_named(after, name).certificate, key, issuer).pem, pem
+    issued_for, signer = authority_named(after, name).certificate, issuer_of(session, authority) or key
+    return certificates.issue(issued_for, key.public_key(), signer, authority=True).pem, pem
 
 
 def _given(

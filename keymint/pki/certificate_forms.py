@@ -81,6 +81,14 @@ def form(
             help="leave it empty for a random one",
             code="serial-invalid",
         )
+    hash_algorithm = HASHES.get(spec.hash_algorithm.upper().replace("-", ""))
+    if hash_algorithm is None:
+        raise KeymintError(
+            f"{spec.hash_algorithm!r} is not a supported hash algorithm",
+            where=spec.origin,
+            help=f"known are {', '.join(HASHES)}",
+            code="hash-unknown",
+        )
     if issuer is not None:
         _check_issuer(issuer, spec.origin, authority=authority)
     subject = distinguished_names.parse(spec.subject_name, spec.origin)
@@ -89,22 +97,10 @@ def form(
         subject=subject,
         issuer=subject if issuer is None else issuer.subject,
         validity=validity,
-        hash_algorithm=_hash(spec),
+        hash_algorithm=hash_algorithm,
         extensions=_extensions(spec, extensions.Context(public_key, issuer), authority=authority),
         diagnostics=diagnostics,
     )
-
-
-def _hash(spec: CertificateSpec) -> _Hash:
-    name = spec.hash_algorithm.upper().replace("-", "")
-    if name not in HASHES:
-        raise KeymintError(
-            f"{spec.hash_algorithm!r} is not a supported hash algorithm",
-            where=spec.origin,
-            help=f"known are {', '.join(HASHES)}",
-            code="hash-unknown",
-        )
-    return HASHES[name]
 
 
 def validity_within(validity: Validity, issuer: x509.Certificate | None) -> Validity:

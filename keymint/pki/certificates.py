@@ -200,17 +200,25 @@ def is_canonical(pem: bytes) -> bool:
         return False
 
 
-def issue_authority(spec: CertificateSpec, key: keys.PrivateKey, issuer: Issuer | None) -> Issued:
-    """Issue the certificate of an authority.
+def issue(
+    spec: CertificateSpec, public_key: keys.PublicKey, signer: Issuer | keys.PrivateKey, *, authority: bool
+) -> Issued:
+    """Issue the certificate of an authority or an identity.
 
-    Defaults, each replaced by the specification's extension of the same kind: basicConstraints CA:TRUE and keyUsage
-    digitalSignature (it signs documents), keyCertSign, cRLSign, both critical; subjectKeyIdentifier; and, unless it is
-    self-signed, authorityKeyIdentifier (RFC 5280, 4.2.1).
+    Defaults for an authority, each replaced by the specification's extension of the same kind: basicConstraints CA:TRUE
+    and keyUsage digitalSignature (it signs documents), keyCertSign, cRLSign, both critical; subjectKeyIdentifier; and,
+    unless it is self-signed, authorityKeyIdentifier (RFC 5280, 4.2.1).
+
+    Those for an identity: basicConstraints CA:FALSE and keyUsage digitalSignature, both critical; extendedKeyUsage
+    serverAuth and clientAuth; subjectKeyIdentifier and authorityKeyIdentifier. An extendedKeyUsage is always present
+    and never has emailProtection: where one authority has both jobs, an identity's key could otherwise sign its own
+    permissions (CVE-2023-24010).
 
     Args:
         spec: the specification.
-        key: the authority's own private key.
-        issuer: the issuing authority; None for a self-signed certificate.
+        public_key: the key to certify.
+        signer: the issuing authority, or the authority's own private key for a self-signed certificate.
+        authority: whether it is an authority's certificate, not an identity's.
 
     Returns:
         The certificate, with a warning if its validity was cut to the issuer's.
@@ -218,30 +226,19 @@ def issue_authority(spec: CertificateSpec, key: keys.PrivateKey, issuer: Issuer 
     Raises:
         KeymintError: the specification cannot be issued; with its origin.
     """
-    certificate, signing_key = (issuer.certificate, issuer.key) if issuer else (None, key)
-    return _issue(spec, key.public_key(), certificate, signing_key, authority=True)
-
-
-def issue_identity(spec: CertificateSpec, public_key: keys.PublicKey, issuer: Issuer) -> Issued:
-    """Issue the certificate of an identity.
-
-    Defaults, each replaced by the specification's extension of the same kind: basicConstraints CA:FALSE and keyUsage
-    digitalSignature, both critical; extendedKeyUsage serverAuth and clientAuth; subjectKeyIdentifier and
-    authorityKeyIdentifier. An extendedKeyUsage is always present and never has emailProtection: where one authority
-    has both jobs, an identity's key could otherwise sign its own permissions (CVE-2023-24010).
-
-    Args:
-        spec: the specification.
-        public_key: the identity's public key.
-        issuer: the issuing authority.
-
-    Returns:
-        The certificate, with a warning if its validity was cut to the issuer's.
-
-    Raises:
-        KeymintError: the specification cannot be issued; with its origin.
-    """
-    return _issue(spec, public_key, issuer.certificate, issuer.key, authority=False)
+    issuer, signing_key = (signer.certificate, signer.key) if isinstance(signer, Issuer) else (None, signer)
+    form = certificate_forms.form(spec, public_key, issuer, authority=authority)
+    certificate = form.signed(spec.serial, public_key, signing_key)
+    try:
+        _ = certificate.extensions if spec.extensions else ()
+    except ValueError:  # a dotted OID that the library knows, with a value in another syntax
+        raise KeymintError(
+            f"an extension of {quote(spec.subject_name, 80)} does not have the syntax of its OID",
+            where=spec.origin,
+            help="correct the value after DER:",
+            code="extension-invalid",
+        ) from None
+    return Issued(certificate, to_pem(certificate), form.diagnostics)
 
 
 def certificate_satisfies(
@@ -335,25 +332,3 @@ def can_sign_documents(certificate: x509.Certificate, where: Origin | None = Non
         where,
         help_,
     )
-
-
-def _issue(
-    spec: CertificateSpec,
-    public_key: keys.PublicKey,
-    issuer: x509.Certificate | None,
-    signing_key: keys.PrivateKey,
-    *,
-    authority: bool,
-) -> Issued:
-    form = certificate_forms.form(spec, public_key, issuer, authority=authority)
-    certificate = form.signed(spec.serial, public_key, signing_key)
-    try:
-        _ = certificate.extensions if spec.extensions else ()
-    except ValueError:  # a dotted OID that the library knows, with a value in another syntax
-        raise KeymintError(
-            f"an extension of {quote(spec.subject_name, 80)} does not have the syntax of its OID",
-            where=spec.origin,
-            help="correct the value after DER:",
-            code="extension-invalid",
-        ) from None
-    return Issued(certificate, to_pem(certificate), form.diagnostics)

@@ -167,8 +167,7 @@ def unique_suffix(subject: str, generation: int = 0) -> str:
 
 
 def _invalid(text: str, problem: str, help_: str = "") -> KeymintError:
-    message = f"{quote(text, 120)} is not a subject name: {problem}"
-    return KeymintError(message, help=help_, code="name-invalid")
+    return KeymintError(f"{quote(text, 120)} is not a subject name: {problem}", help=help_, code="name-invalid")
 
 
 def _pairs(text: str) -> Iterator[tuple[str, str]]:

@@ -336,3 +336,27 @@ def _authority(certificate: x509.Certificate, below: Sequence[x509.Certificate])
 
 def _shown(name: x509.Name) -> str:
     return repr(distinguished_names.to_text(name))
+
+
+# -- who signs ---------------------------------------------------------------------------------------------------------
+
+
+def issuer_with(certificate: x509.Certificate, key: keys.PrivateKey, where: Origin) -> certificates.Issuer:
+    """Return an authority with its private key.
+
+    Args:
+        certificate: its certificate.
+        key: its key.
+        where: the authority, for messages.
+
+    Raises:
+        KeymintError: they do not belong together.
+    """
+    if not keys.matches(key, certificate):
+        raise KeymintError(
+            "the private key does not belong to the certificate",
+            where=where,
+            help="restore the replaced file",
+            code="key-mismatch",
+        )
+    return certificates.Issuer(certificate, key)

@@ -121,18 +121,11 @@ def key_description(spec: KeySpec) -> str:
 
 def to_pem(key: PrivateKey, password: bytes | None = None) -> bytes:
     """Return a private key as PKCS #8 PEM, encrypted (PBES2, AES-256) if a password is given."""
+    encryption = serialization.BestAvailableEncryption(password) if password else serialization.NoEncryption()
+    pem = key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, encryption)
     if not password:
-        pem = _plain_pem(key)
         _remember(pem, key.public_key(), canonical=True)
-        return pem
-    encryption = serialization.BestAvailableEncryption(password)
-    return key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, encryption)
-
-
-def _plain_pem(key: PrivateKey) -> bytes:
-    return key.private_bytes(
-        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
-    )
+    return pem
 
 
 def from_pem(pem: bytes, password: bytes | None = None, where: Origin | None = None) -> PrivateKey:
@@ -187,7 +180,7 @@ def _known(pem: bytes, where: Origin | None = None) -> tuple[bytes, bool]:
     digest = hashlib.sha256(pem).digest()
     if digest not in _KNOWN:
         key = from_pem(pem, None, where)
-        _remember(pem, key.public_key(), canonical=_plain_pem(key) == pem)
+        _remember(pem, key.public_key(), canonical=to_pem(key) == pem)
     return _KNOWN[digest]
 
 

@@ -132,7 +132,13 @@ def load(pem: bytes, where: Origin) -> RevocationList:
         KeymintError: the file does not have exactly one list in canonical PEM.
     """
     try:
-        return _loaded(pem)
+        crl = parse(pem)
+        if crl.public_bytes(Encoding.PEM) != pem:
+            raise ValueError
+        number = extensions.value(crl, x509.CRLNumber)
+        return RevocationList(
+            to_text(crl.issuer), number.crl_number if number else 0, *period(crl), tuple(map(_revocation, crl))
+        )
     except certificates.UNREADABLE:
         raise KeymintError(
             "is not one revocation list in PEM",
@@ -140,16 +146,6 @@ def load(pem: bytes, where: Origin) -> RevocationList:
             help="'keymint crl --refresh' issues it again",
             code="revocation-list-invalid",
         ) from None
-
-
-def _loaded(pem: bytes) -> RevocationList:
-    crl = parse(pem)
-    if crl.public_bytes(Encoding.PEM) != pem:
-        raise ValueError
-    number = extensions.value(crl, x509.CRLNumber)
-    return RevocationList(
-        to_text(crl.issuer), number.crl_number if number else 0, *period(crl), tuple(map(_revocation, crl))
-    )
 
 
 def _revocation(entry: x509.RevokedCertificate) -> Revocation:

@@ -55,7 +55,7 @@ from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint import api
 from keymint.errors import KeymintError
-from keymint.pki import certificates, cms, der, keys
+from keymint.pki import certificates, cms, der, examine, keys
 
 UNREAD = "smime-form"
 """Error code for a file in a form that this reader refuses: how other software reads it is unknown."""
@@ -125,14 +125,7 @@ def load_signer(signer: api.SigningAuthority) -> certificates.Issuer:
     where = Origin(f"authority {signer.name}")
     certificate = certificates.load(signer.certificate, where)
     key = signer.token_key or keys.from_pem(signer.key, signer.password, where)
-    if not keys.matches(key, certificate):
-        raise KeymintError(
-            "the private key does not belong to the certificate",
-            where=where,
-            help="restore the replaced file",
-            code="key-mismatch",
-        )
-    return certificates.Issuer(certificate, key)
+    return examine.issuer_with(certificate, key, where)
 
 
 def sign(content: bytes, certificate: x509.Certificate, key: keys.PrivateKey, where: Origin | None = None) -> bytes:

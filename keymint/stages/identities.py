@@ -207,7 +207,7 @@ def sign(
     if certificate is not None:
         loaded = certificates.load(certificate)
     else:
-        issued = certificates.issue_identity(package.identity, public, issuer.issuer)
+        issued = certificates.issue(package.identity, public, issuer.issuer, authority=False)
         certificate, loaded = issued.pem, issued.certificate
         warnings = [replace(warning, subject=package.subject) for warning in issued.diagnostics]
     artifacts: dict[str, Artifact] = {}

@@ -110,7 +110,7 @@ class Tokens:
         import pkcs11  # noqa: PLC0415 - loaded already
 
         if not hasattr(key, "sign"):
-            raise self._error("token-key-kind", f"may not sign (CKA_SIGN): {spec.uri}", where, "name another key")
+            raise _error("token-key-kind", f"may not sign (CKA_SIGN): {spec.uri}", where, "name another key")
         with self._errors(spec, where):
             signature: bytes = key.sign(data, mechanism=getattr(pkcs11.Mechanism, mechanism), pin=pin or None)
         return signature
@@ -134,7 +134,10 @@ class Tokens:
         return known[place]
 
     def _found(self, spec: KeySpec, uri: Pkcs11Uri, where: Origin | None) -> _Opened:
-        session, pin = self._session(spec, uri, where)
+        module = self._module(uri, where)
+        token = self._token(module, spec, uri, where)
+        place = module.so, token.slot.slot_id
+        session, pin = self._once(self._sessions, place, lambda: self._opened(token, spec, uri, where))
         from pkcs11 import Attribute, ObjectClass, PKCS11Error  # noqa: PLC0415 - few runs need it
 
         wanted = {Attribute.CLASS: ObjectClass.PRIVATE_KEY}
@@ -150,20 +153,13 @@ class Tokens:
             labels = sorted(
                 {str(each.label) for each in session.get_objects({Attribute.CLASS: ObjectClass.PRIVATE_KEY})}
             )
-        token = session.token.label
         if found:
             ids = first_few(sorted(f"id={''.join(f'%{octet:02x}' for octet in each.id)}" for each in found), _SHOWN)
-            message = f"the token {token!r} has {len(found)} private keys that {uri.path} may mean"
-            raise self._error("token-key-ambiguous", message, where, f"say which: {ids}")
+            message = f"the token {token.label!r} has {len(found)} private keys that {uri.path} may mean"
+            raise _error("token-key-ambiguous", message, where, f"say which: {ids}")
         known = f"it has {first_few(labels, _SHOWN)}" if labels else "it has none; was it logged in as its user?"
         help_ = known if uri.label in labels else did_you_mean(uri.label, labels, known)
-        raise self._error("token-key-missing", f"the token {token!r} has no private key {uri.path}", where, help_)
-
-    def _session(self, spec: KeySpec, uri: Pkcs11Uri, where: Origin | None) -> _Opened:
-        module = self._module(uri, where)
-        token = self._token(module, spec, uri, where)
-        place = module.so, token.slot.slot_id
-        return self._once(self._sessions, place, lambda: self._opened(token, spec, uri, where))
+        raise _error("token-key-missing", f"the token {token.label!r} has no private key {uri.path}", where, help_)
 
     def _opened(self, token: Any, spec: KeySpec, uri: Pkcs11Uri, where: Origin | None) -> _Opened:
         from pkcs11 import PROTECTED_AUTH, TokenFlag  # noqa: PLC0415 - few runs need it
@@ -188,13 +184,13 @@ class Tokens:
         except ImportError:
             from keymint.api.plugin_loader import how_to_add  # noqa: PLC0415 - for this error only
 
-            raise self._error(
+            raise _error(
                 "pkcs11-module", "python-pkcs11 is not installed", where, how_to_add("python-pkcs11")
             ) from None
         try:
             self._modules[path] = pkcs11.lib(path)
         except (pkcs11.PKCS11Error, RuntimeError) as error:
-            raise self._error(
+            raise _error(
                 "pkcs11-module",
                 f"the PKCS #11 module {path} cannot be used: {str(error) or type(error).__name__}",
                 where,
@@ -218,11 +214,11 @@ class Tokens:
         if found:
             serials = first_few(sorted(f"serial={_described(token)['serial']}" for token in found), _SHOWN)
             message = f"{len(found)} tokens are {shown}"
-            raise self._error("token-ambiguous", message, where, f"say which: {serials}")
+            raise _error("token-ambiguous", message, where, f"say which: {serials}")
         labels = sorted(token.label for token in present if token.label)
         known = f"{module.so} has {first_few(labels, _SHOWN)}" if labels else f"{module.so} has no tokens"
         message = f"there is no token {shown}"
-        raise self._error("token-missing", message, where, did_you_mean(uri.token.get("token", ""), labels, known))
+        raise _error("token-missing", message, where, did_you_mean(uri.token.get("token", ""), labels, known))
 
     @contextlib.contextmanager
     def _errors(self, spec: KeySpec, where: Origin | None, token: str = "") -> Iterator[None]:
@@ -240,11 +236,11 @@ class Tokens:
             self._keys.pop(spec.uri, None)
             raise found from None
         except UnicodeError:
-            raise self._error("token-pin", "the PIN is not UTF-8", where, "correct it") from None
+            raise _error("token-pin", "the PIN is not UTF-8", where, "correct it") from None
 
-    @staticmethod
-    def _error(code: str, message: str, where: Origin | None, help_: str) -> KeymintError:
-        return KeymintError(message, where=where, help=help_, code=code)
+
+def _error(code: str, message: str, where: Origin | None, help_: str) -> KeymintError:
+    return KeymintError(message, where=where, help=help_, code=code)
 
 
 def _described(token: Any) -> Mapping[str, str]:
@@ -268,19 +264,12 @@ def _require_system_file(path: str, where: Origin | None) -> None:
     try:
         status = os.stat(path)  # noqa: PTH116 - the path is a text
     except OSError as error:
-        raise KeymintError(
-            f"the PKCS #11 module {path} cannot be read: {error.strerror}",
-            where=where,
-            help="install it, or correct module-path",
-            code="pkcs11-module",
-        ) from None
+        message = f"the PKCS #11 module {path} cannot be read: {error.strerror}"
+        raise _error("pkcs11-module", message, where, "install it, or correct module-path") from None
     if status.st_uid != 0 or stat.S_IMODE(status.st_mode) & 0o022:
-        raise KeymintError(
-            f"the PKCS #11 module {path} may have been written by others than the administrator",
-            where=where,
-            help=f"check it, and confirm it: export {MODULE_VARIABLE}={path}",
-            code="pkcs11-module",
-        )
+        message = f"the PKCS #11 module {path} may have been written by others than the administrator"
+        help_ = f"check it, and confirm it: export {MODULE_VARIABLE}={path}"
+        raise _error("pkcs11-module", message, where, help_)
 
 
 # -- PINs ------------------------------------------------------------------------------------------------------------
@@ -318,12 +307,9 @@ class Pins:
         if not pin and self.ask is not None:
             pin = self.ask(f"PIN of the token {token}: ")
         if not pin:
-            raise KeymintError(
-                f"the environment variable {variable}, which holds the PIN of the token {token}, is not set",
-                where=where,
-                help=f"export {variable}=…, run it in a terminal, or name a file of mode 0600: ?pin-source=file:/path",
-                code=PIN_MISSING,
-            )
+            message = f"the environment variable {variable}, which holds the PIN of the token {token}, is not set"
+            help_ = f"export {variable}=…, run it in a terminal, or name a file of mode 0600: ?pin-source=file:/path"
+            raise _error(PIN_MISSING, message, where, help_)
         return pin
 
 
@@ -345,12 +331,8 @@ def _pin_in_file(path: str, where: Origin | None) -> str:
     except UnicodeDecodeError:
         problem = problem or "is not UTF-8"
     if problem:
-        raise KeymintError(
-            f"the PIN file {path} {problem}",
-            where=where,
-            help=f"write the PIN into a file of yours, and run: chmod 600 {path}",
-            code=PIN_REFUSED,
-        )
+        help_ = f"write the PIN into a file of yours, and run: chmod 600 {path}"
+        raise _error(PIN_REFUSED, f"the PIN file {path} {problem}", where, help_)
     return pin
 
 

@@ -404,7 +404,7 @@ def test_an_authority_of_the_company_signs_with_its_token(
     tokens = Tokens({}, Pins(RIGHT).pin)
     key = tokens.private_key(spec, tokens.public_key(spec))
     (tmp_path / "company.pem").write_bytes(
-        certificates.issue_authority(make_spec("O=Company,CN=Robots"), key, None).pem
+        certificates.issue(make_spec("O=Company,CN=Robots"), key.public_key(), key, authority=True).pem
     )
     tokens.close()
     signatures.clear()

@@ -131,7 +131,7 @@ def test_a_reissued_authority_with_the_same_key_is_the_same() -> None:
     ca = authority()
     from tests.keymint.robots.conftest import spec
 
-    reissued = certificates.issue_authority(spec("CN=ca", AT - 2 * DAY), ca.key, None).certificate
+    reissued = certificates.issue(spec("CN=ca", AT - 2 * DAY), ca.key.public_key(), ca.key, authority=True).certificate
     made = NEXT.but(identity=certificates.Issuer(reissued, ca.key))
     assert "identity_ca.cert.pem" in taken(made, THERE).files
 

@@ -34,7 +34,9 @@ def test_the_clock_is_within_the_dates(now: datetime) -> None:
 def test_an_authority_that_expired() -> None:
     """Dates of the manifest are not taken for those of the chain."""
     key = robot_key("short")
-    short = certificates.issue_authority(spec("CN=short", AT - 9 * DAY, AT - timedelta(hours=1)), key, None)
+    short = certificates.issue(
+        spec("CN=short", AT - 9 * DAY, AT - timedelta(hours=1)), key.public_key(), key, authority=True
+    )
     made = NEXT.but(identity=certificates.Issuer(short.certificate, key), begin=AT - 8 * DAY, number=0)
     assert code(made, Owner(frozenset({keys.fingerprint(key)}))) == "bundle-chain"
 

@@ -80,11 +80,15 @@ def spec() -> Callable[..., CertificateSpec]:
 def authority() -> certificates.Issuer:
     """A self-signed P-256 authority, valid 2020 to 2040."""
     key = keys.generate(P256)
-    return certificates.Issuer(certificates.issue_authority(make_spec("CN=permissions ca"), key, None).certificate, key)
+    return certificates.Issuer(
+        certificates.issue(make_spec("CN=permissions ca"), key.public_key(), key, authority=True).certificate, key
+    )
 
 
 @pytest.fixture(scope="session")
 def other() -> certificates.Issuer:
     """Another authority with the same name and another key."""
     key = keys.generate(P256)
-    return certificates.Issuer(certificates.issue_authority(make_spec("CN=permissions ca"), key, None).certificate, key)
+    return certificates.Issuer(
+        certificates.issue(make_spec("CN=permissions ca"), key.public_key(), key, authority=True).certificate, key
+    )

@@ -19,15 +19,17 @@ P256 = KEYS[0]
 
 def _authority(spec: CertificateSpec, issuer: certificates.Issuer | None = None) -> certificates.Issuer:
     key = keys.generate(spec.key)
-    return certificates.Issuer(certificates.issue_authority(spec, key, issuer).certificate, key)
+    return certificates.Issuer(
+        certificates.issue(spec, key.public_key(), issuer or key, authority=True).certificate, key
+    )
 
 
 @pytest.mark.parametrize("kind", KEYS, ids=lambda spec: spec.curve or f"rsa{spec.size}")
 @pytest.mark.parametrize("hash_algorithm", ["SHA256", "SHA384", "SHA512"])
 def test_openssl_accepts_authorities_and_identities(openssl, spec, kind: KeySpec, hash_algorithm: str) -> None:
     ca = _authority(spec("C=US, O=Acme, CN=ca/emailAddress=a@b.c", key=kind, hash_algorithm=hash_algorithm))
-    identity = certificates.issue_identity(
-        spec("CN=/robot,OU=x1", hash_algorithm=hash_algorithm), keys.generate(P256).public_key(), ca
+    identity = certificates.issue(
+        spec("CN=/robot,OU=x1", hash_algorithm=hash_algorithm), keys.generate(P256).public_key(), ca, authority=False
     )
     openssl.put(ca=certificates.to_pem(ca.certificate), identity=identity.pem)
     openssl.accepts("verify", "-x509_strict", "-CAfile", "ca", "ca", "identity")
@@ -44,7 +46,7 @@ def test_openssl_accepts_authorities_and_identities(openssl, spec, kind: KeySpec
 def test_openssl_accepts_a_hierarchy(openssl, spec) -> None:
     root = _authority(spec("CN=root", basicConstraints="critical, CA:TRUE, pathlen:1"))
     middle = _authority(spec("CN=middle", basicConstraints="critical, CA:TRUE, pathlen:0"), root)
-    identity = certificates.issue_identity(spec("CN=/robot"), keys.generate(P256).public_key(), middle)
+    identity = certificates.issue(spec("CN=/robot"), keys.generate(P256).public_key(), middle, authority=False)
     openssl.put(
         root=certificates.to_pem(root.certificate),
         middle=certificates.to_pem(middle.certificate),
@@ -63,9 +65,9 @@ def test_an_unchanged_certificate_is_kept_and_any_change_is_seen(
     key = keys.generate(P256)
     wanted = spec("CN=/robot,OU=x1", subjectAltName="DNS:a", nsComment="hello", validity=_years(2021, 2060))
     if role == "identity":
-        issued, issuer = certificates.issue_identity(wanted, key.public_key(), authority), authority.certificate
+        issued, issuer = certificates.issue(wanted, key.public_key(), authority, authority=False), authority.certificate
     else:
-        issued = certificates.issue_authority(wanted, key, authority if role == "middle" else None)
+        issued = certificates.issue(wanted, key.public_key(), authority if role == "middle" else key, authority=True)
         issuer = authority.certificate if role == "middle" else None
 
     def kept(
@@ -103,7 +105,7 @@ def _years(first: int, last: int) -> Validity:
 
 def test_every_changed_byte_of_a_certificate_is_found(spec, authority: certificates.Issuer) -> None:
     wanted, key = spec("CN=/robot"), keys.generate(P256).public_key()
-    pem = certificates.issue_identity(wanted, key, authority).pem
+    pem = certificates.issue(wanted, key, authority, authority=False).pem
     for position in range(len(pem)):
         damaged = bytearray(pem)
         damaged[position] ^= 1

@@ -25,7 +25,9 @@ def signed(issuer: certificates.Issuer, digest: type[hashes.SHA256 | hashes.SHA3
 @pytest.mark.parametrize("digest", [hashes.SHA256, hashes.SHA384, hashes.SHA512])
 def test_signatures_of_all_keys_and_digests_verify(spec, kind: KeySpec, digest) -> None:
     key = keys.generate(kind)
-    issuer = certificates.Issuer(certificates.issue_authority(spec("CN=ca", key=kind), key, None).certificate, key)
+    issuer = certificates.Issuer(
+        certificates.issue(spec("CN=ca", key=kind), key.public_key(), key, authority=True).certificate, key
+    )
     signature = cms.parse(signed(issuer, digest))
     assert signature.digest == digest.name
     assert signature.certificate == issuer.certificate.public_bytes(serialization.Encoding.DER)

@@ -27,11 +27,13 @@ def _codes(certificate: bytes, *bundle: certificates.Issuer, at: datetime = NOW)
 
 def _authority(spec: CertificateSpec, issuer: certificates.Issuer | None = None) -> certificates.Issuer:
     key = keys.generate(spec.key)
-    return certificates.Issuer(certificates.issue_authority(spec, key, issuer).certificate, key)
+    return certificates.Issuer(
+        certificates.issue(spec, key.public_key(), issuer or key, authority=True).certificate, key
+    )
 
 
 def _identity(spec: CertificateSpec, issuer: certificates.Issuer) -> bytes:
-    return certificates.issue_identity(spec, keys.generate(P256).public_key(), issuer).pem
+    return certificates.issue(spec, keys.generate(P256).public_key(), issuer, authority=False).pem
 
 
 def _forge(issuer: certificates.Issuer, *extensions: x509.ExtensionType, subject: str = "/a") -> certificates.Issuer:
@@ -135,7 +137,7 @@ def test_every_changed_byte_is_found(spec, authority: certificates.Issuer) -> No
 def test_unused_bits_of_a_signature_are_no_hiding_place(spec, authority: certificates.Issuer) -> None:
     """No signature covers them, and the library passes over them (X.690, 8.6.2.2)."""
     public = keys.generate(P256).public_key()
-    while (certificate := certificates.issue_identity(spec(), public, authority).certificate).signature[-1] & 1:
+    while (certificate := certificates.issue(spec(), public, authority, authority=False).certificate).signature[-1] & 1:
         pass
     content = bytearray(certificate.public_bytes(serialization.Encoding.DER))
     content[len(content) - len(certificate.signature) - 1] = 1
@@ -165,9 +167,13 @@ def test_without_authorities_the_certificate_is_checked_alone(authority: certifi
 
 def test_authorities_that_issue_each_other_are_no_path(spec) -> None:
     first_key, second_key = keys.generate(P256), keys.generate(P256)
-    first = certificates.Issuer(certificates.issue_authority(spec("CN=one"), first_key, None).certificate, first_key)
-    second = certificates.Issuer(
-        certificates.issue_authority(spec("CN=two"), second_key, first).certificate, second_key
+    first = certificates.Issuer(
+        certificates.issue(spec("CN=one"), first_key.public_key(), first_key, authority=True).certificate, first_key
     )
-    loop = certificates.Issuer(certificates.issue_authority(spec("CN=one"), first_key, second).certificate, first_key)
+    second = certificates.Issuer(
+        certificates.issue(spec("CN=two"), second_key.public_key(), first, authority=True).certificate, second_key
+    )
+    loop = certificates.Issuer(
+        certificates.issue(spec("CN=one"), first_key.public_key(), second, authority=True).certificate, first_key
+    )
     assert _codes(certificates.to_pem(loop.certificate), loop, second) == ["chain-incomplete"]

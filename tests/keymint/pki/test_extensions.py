@@ -33,7 +33,9 @@ HERE = Origin("authorities.xml", 12)
 )
 def test_openssl_prints_what_was_asked_for(openssl, spec, name: str, value: str, printed: str) -> None:
     key = keys.generate(spec().key)
-    issued = certificates.issue_authority(replace(spec(), extensions=(Extension(name, value, False, HERE),)), key, None)
+    issued = certificates.issue(
+        replace(spec(), extensions=(Extension(name, value, False, HERE),)), key.public_key(), key, authority=True
+    )
     openssl.put(ca=issued.pem)
     shown = openssl.run("x509", "-in", "ca", "-noout", "-text").stdout.decode()
     assert printed in shown
@@ -45,15 +47,18 @@ def test_openssl_prints_what_was_asked_for(openssl, spec, name: str, value: str,
 )
 def test_key_identifiers_can_be_left_out(openssl, spec, authority, name: str, title: str) -> None:
     public = keys.generate(spec().key).public_key()
-    without = certificates.issue_identity(spec("CN=/a", **{name: "none"}), public, authority)
-    openssl.put(a=without.pem, b=certificates.issue_identity(spec("CN=/a"), public, authority).pem)
+    without = certificates.issue(spec("CN=/a", **{name: "none"}), public, authority, authority=False)
+    openssl.put(a=without.pem, b=certificates.issue(spec("CN=/a"), public, authority, authority=False).pem)
     assert title not in openssl.run("x509", "-in", "a", "-noout", "-text").stdout.decode()
     assert title in openssl.run("x509", "-in", "b", "-noout", "-text").stdout.decode()
 
 
 def test_the_issuer_can_be_named_by_serial_number(openssl, spec, authority) -> None:
-    issued = certificates.issue_identity(
-        spec("CN=/a", authorityKeyIdentifier="keyid, issuer:always"), keys.generate(spec().key).public_key(), authority
+    issued = certificates.issue(
+        spec("CN=/a", authorityKeyIdentifier="keyid, issuer:always"),
+        keys.generate(spec().key).public_key(),
+        authority,
+        authority=False,
     )
     openssl.put(ca=certificates.to_pem(authority.certificate), a=issued.pem)
     assert "DirName:" in openssl.run("x509", "-in", "a", "-noout", "-text").stdout.decode()
@@ -103,11 +108,13 @@ def test_what_is_not_in_the_notation_is_an_error_with_its_place(spec, name: str,
 
 def test_bytes_that_are_not_an_extensions_syntax_are_refused(spec) -> None:
     raw = Extension("2.5.29.30", "DER:0500", False, HERE)  # nameConstraints that are NULL
+    key = keys.generate(spec().key)
     with pytest.raises(KeymintError, match="syntax of its OID"):
-        certificates.issue_authority(replace(spec(), extensions=(raw,)), keys.generate(spec().key), None)
+        certificates.issue(replace(spec(), extensions=(raw,)), key.public_key(), key, authority=True)
 
 
 def test_an_extension_stands_once(spec) -> None:
     twice = (Extension("nsComment", "a", False, HERE), Extension("nsComment", "b", False, replace(HERE, line=13)))
+    key = keys.generate(spec().key)
     with pytest.raises(KeymintError, match=r"authorities\.xml:13: .*occurs twice"):
-        certificates.issue_authority(replace(spec(), extensions=twice), keys.generate(spec().key), None)
+        certificates.issue(replace(spec(), extensions=twice), key.public_key(), key, authority=True)

@@ -22,7 +22,7 @@ VALIDITY = Validity(datetime(2026, 1, 1, tzinfo=UTC), datetime(2036, 1, 1, tzinf
 
 def made(subject: str = "CN=ca", **extensions: str) -> tuple[x509.Certificate, keys.PrivateKey]:
     key = ec.generate_private_key(ec.SECP256R1())
-    return certificates.issue_authority(make_spec(subject, **extensions), key, None).certificate, key
+    return certificates.issue(make_spec(subject, **extensions), key.public_key(), key, authority=True).certificate, key
 
 
 def test_what_ours_have_is_not_missed() -> None:
@@ -58,7 +58,7 @@ def test_below_another_authority_it_ends_with_that() -> None:
     root, root_key = made("CN=root")
     key = ec.generate_private_key(ec.SECP256R1())
     issuer = certificates.Issuer(root, root_key)
-    below = certificates.issue_authority(make_spec("CN=below"), key, issuer).certificate
+    below = certificates.issue(make_spec("CN=below"), key.public_key(), issuer or key, authority=True).certificate
     longer = Validity(VALIDITY.not_before, datetime(2090, 1, 1, tzinfo=UTC))
     new = certificates.load(foreign_authorities.issued_like(below, key, longer, issuer, WHERE))
     assert certificates.is_issued_by(new, root)
@@ -76,7 +76,7 @@ def test_below_another_authority_it_ends_with_that() -> None:
     [(ec.generate_private_key(ec.SECP384R1()), "ec"), (rsa.generate_private_key(65537, 2048), "rsa")],
 )
 def test_the_kind_of_key_is_that_of_the_certificate(key: keys.PrivateKey, algorithm: str) -> None:
-    pem = certificates.issue_authority(make_spec(), key, None).pem
+    pem = certificates.issue(make_spec(), key.public_key(), key, authority=True).pem
     spec = foreign_authorities.adopted_spec(make_spec("CN=other"), pem)
     assert (spec.subject_name, spec.key.algorithm) == ("CN=ca", algorithm)
     assert keys.fits(key, spec.key)

@@ -31,12 +31,14 @@ def ca(spec) -> Issuer:
 
 def authority(of) -> Issuer:
     key = keys.generate(of.key)
-    return Issuer(certificates.issue_authority(of, key, None).certificate, key)
+    return Issuer(certificates.issue(of, key.public_key(), key, authority=True).certificate, key)
 
 
 def test_openssl_refuses_the_revoked_certificate_only(openssl, spec, ca: Issuer) -> None:
     robots = [
-        certificates.issue_identity(spec(f"CN=/robot{number}"), keys.generate(spec("CN=x").key).public_key(), ca)
+        certificates.issue(
+            spec(f"CN=/robot{number}"), keys.generate(spec("CN=x").key).public_key(), ca, authority=False
+        )
         for number in range(2)
     ]
     stolen = Revocation(robots[0].certificate.serial_number, NOW, "key-compromise")

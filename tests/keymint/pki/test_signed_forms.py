@@ -186,7 +186,9 @@ def test_other_certificates_and_signers_are_refused(
 @pytest.mark.parametrize("kind", [KeySpec("rsa", size=2048), KeySpec("ec", "SECP384R1")], ids=["rsa", "p384"])
 def test_authorities_of_other_kinds(spec, kind: KeySpec) -> None:
     key = keys.generate(kind)
-    own = certificates.Issuer(certificates.issue_authority(spec(key=kind), key, None).certificate, key)
+    own = certificates.Issuer(
+        certificates.issue(spec(key=kind), key.public_key(), key, authority=True).certificate, key
+    )
     for name, sign in SIGNERS.items():
         assert smime.verify(sign(CONTENT, own.certificate, own.key), pem(own)) == CONTENT, name
 
@@ -219,7 +221,7 @@ def test_the_first_certificate_is_the_one_that_every_reader_takes(
 
 def test_a_chain_that_an_identity_signed_is_refused(spec, authority: certificates.Issuer) -> None:
     key = keys.generate(KeySpec("ec", "SECP256R1"))
-    identity = certificates.issue_identity(spec("CN=/evil"), key.public_key(), authority)
+    identity = certificates.issue(spec("CN=/evil"), key.public_key(), authority, authority=False)
     for sign in SIGNERS.values():
         forged = sign(CONTENT, identity.certificate, key)
         with pytest.raises(KeymintError, match="another certificate"):

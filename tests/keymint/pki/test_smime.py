@@ -36,7 +36,7 @@ def _pem(authority: certificates.Issuer) -> bytes:
 )
 def test_openssl_and_we_verify_what_is_signed(openssl, spec, kind: KeySpec) -> None:
     key = keys.generate(kind)
-    ca = certificates.issue_authority(spec("CN=permissions ca", key=kind), key, None)
+    ca = certificates.issue(spec("CN=permissions ca", key=kind), key.public_key(), key, authority=True)
     signed = smime.sign(CONTENT, ca.certificate, key)
     openssl.put(ca=ca.pem, signed=signed)
     openssl.accepts("smime", "-verify", "-text", "-in", "signed", "-CAfile", "ca", "-out", "content")
@@ -77,7 +77,9 @@ def test_what_does_not_survive_is_refused(authority: certificates.Issuer, conten
 def test_every_changed_byte_is_found(spec, authority: certificates.Issuer) -> None:
     rsa = KeySpec("rsa", size=2048)
     key = keys.generate(rsa)
-    by_rsa = certificates.Issuer(certificates.issue_authority(spec(key=rsa), key, None).certificate, key)
+    by_rsa = certificates.Issuer(
+        certificates.issue(spec(key=rsa), key.public_key(), key, authority=True).certificate, key
+    )
     for signer in (authority, by_rsa):
         signed = _sign(signer)
         for position in range(len(signed)):
@@ -158,7 +160,7 @@ def test_a_forged_signer_certificate_does_not_help(authority: certificates.Issue
 def test_an_identity_cannot_sign_permissions(openssl, spec, authority: certificates.Issuer) -> None:
     """CVE-2023-24010: under one authority for both jobs, an identity's key signed its own permissions."""
     key = keys.generate(KeySpec("ec", "SECP256R1"))
-    identity = certificates.issue_identity(spec("CN=/evil"), key.public_key(), authority)
+    identity = certificates.issue(spec("CN=/evil"), key.public_key(), authority, authority=False)
     forged = smime.sign(CONTENT, identity.certificate, key)
     openssl.put(ca=_pem(authority), forged=forged)
     error = openssl.refuses("smime", "-verify", "-text", "-in", "forged", "-CAfile", "ca")
@@ -171,7 +173,7 @@ def test_an_identity_cannot_sign_permissions(openssl, spec, authority: certifica
 
 def test_an_authority_must_be_allowed_and_valid(spec, authority: certificates.Issuer) -> None:
     key = keys.generate(KeySpec("ec", "SECP256R1"))
-    weak = certificates.issue_authority(spec(keyUsage="critical, keyCertSign"), key, None)
+    weak = certificates.issue(spec(keyUsage="critical, keyCertSign"), key.public_key(), key, authority=True)
     with pytest.raises(KeymintError, match="keyUsage lacks digitalSignature"):
         smime.verify(smime.sign(CONTENT, weak.certificate, key), weak.pem)
     signed = _sign(authority)

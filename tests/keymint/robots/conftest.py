@@ -35,7 +35,9 @@ def spec(name: str, first: datetime = AT - DAY, last: datetime = AT + 900 * DAY)
 @functools.cache
 def authority(name: str = "ca") -> certificates.Issuer:
     key = ec.generate_private_key(ec.SECP256R1())
-    return certificates.Issuer(certificates.issue_authority(spec(f"CN={name}"), key, None).certificate, key)
+    return certificates.Issuer(
+        certificates.issue(spec(f"CN={name}"), key.public_key(), key, authority=True).certificate, key
+    )
 
 
 @functools.cache
@@ -56,7 +58,7 @@ def revocations(issuer: certificates.Issuer, number: int, *serials: int, last: d
 @functools.cache
 def certified(name: str, key: ec.EllipticCurvePrivateKey, begin: datetime, issuer: certificates.Issuer) -> bytes:
     asked = spec(f"CN=/{name}", begin, AT + 300 * DAY)
-    return certificates.issue_identity(asked, key.public_key(), issuer).pem
+    return certificates.issue(asked, key.public_key(), issuer, authority=False).pem
 
 
 @dataclass(frozen=True)

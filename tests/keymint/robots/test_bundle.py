@@ -93,7 +93,8 @@ def identity() -> certificates.Issuer:
 def test_another_authority_of_the_same_name_is_another_authority() -> None:
     impostor_key = robot_key("impostor")
     impostor = certificates.Issuer(
-        certificates.issue_authority(spec("CN=ca"), impostor_key, None).certificate, impostor_key
+        certificates.issue(spec("CN=ca"), impostor_key.public_key(), impostor_key, authority=True).certificate,
+        impostor_key,
     )
     content = members()
     signature = cms.sign(content["manifest.json"], impostor.certificate, impostor.key)
@@ -141,7 +142,9 @@ def test_lists_may_be_in_the_file_of_authorities() -> None:
 def test_an_authority_that_may_not_sign_documents_writes_none() -> None:
     key = robot_key("adopted")
     usage = Extension("keyUsage", "keyCertSign, cRLSign", True, FILE)
-    adopted = certificates.issue_authority(replace(spec("CN=adopted"), extensions=(usage,)), key, None).certificate
+    adopted = certificates.issue(
+        replace(spec("CN=adopted"), extensions=(usage,)), key.public_key(), key, authority=True
+    ).certificate
     made = Made(identity=certificates.Issuer(adopted, key))
     with pytest.raises(KeymintError) as refused:
         made.packed  # noqa: B018 - made by the first use

@@ -51,14 +51,14 @@ class Ca:
 def authority(name: str) -> Ca:
     key = keys.generate(EC)
     spec = CertificateSpec(f"CN={name}", _LONG, None, "", "SHA256", EC, (), ORIGIN)
-    return Ca(name, key, certificates.issue_authority(spec, key, None).certificate)
+    return Ca(name, key, certificates.issue(spec, key.public_key(), key, authority=True).certificate)
 
 
 def credentials(package: Package, identity: str = "identity_ca", permissions: str = "permissions_ca") -> Credentials:
     key = keys.generate(EC)
     issuer = authority(identity)
-    issued = certificates.issue_identity(
-        package.identity, key.public_key(), certificates.Issuer(issuer.certificate, issuer.key)
+    issued = certificates.issue(
+        package.identity, key.public_key(), certificates.Issuer(issuer.certificate, issuer.key), authority=False
     )
     chains, signers = _chains(identity, permissions), {"permissions": authority(permissions).signer}
     return Credentials(chains, signers, issued.pem, keys.to_pem(key))

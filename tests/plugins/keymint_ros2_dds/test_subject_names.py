@@ -55,7 +55,8 @@ def test_what_is_rendered_is_what_openssl_prints_for_the_vendors(tmp_path: Path,
     if shutil.which("openssl") is None:
         pytest.skip("openssl is not installed: apt-get install openssl")
     openssl = Openssl(tmp_path)
-    issued = certificates.issue_authority(make_spec(text), keys.generate(P256), None)
+    key = keys.generate(P256)
+    issued = certificates.issue(make_spec(text), key.public_key(), key, authority=True)
     openssl.put(ca=issued.pem)
     printed = openssl.run("x509", "-in", "ca", "-noout", "-subject", "-nameopt", "RFC2253").stdout.decode()
     assert subject_names.render(issued.certificate.subject) == printed.strip().removeprefix("subject=")

@@ -33,7 +33,7 @@ _LONG = Validity(VALIDITY.not_before - timedelta(days=2), VALIDITY.not_after + t
 def authority(name: str) -> certificates.Issuer:
     key = keys.generate(P256)
     spec = CertificateSpec(f"CN={name}", _LONG, None, "", "SHA256", P256, (), ORIGIN)
-    return certificates.Issuer(certificates.issue_authority(spec, key, None).certificate, key)
+    return certificates.Issuer(certificates.issue(spec, key.public_key(), key, authority=True).certificate, key)
 
 
 def pem(name: str) -> bytes:
@@ -46,7 +46,7 @@ def signer(name: str = "permissions_ca") -> SigningAuthority:
 
 def credentials(package: Package, identity: str = "identity_ca") -> Credentials:
     key = keys.generate(package.identity.key)
-    issued = certificates.issue_identity(package.identity, key.public_key(), authority(identity))
+    issued = certificates.issue(package.identity, key.public_key(), authority(identity), authority=False)
     return Credentials(
         {"identity": pem(identity), "access": pem("permissions_ca")},
         {"access": signer()},

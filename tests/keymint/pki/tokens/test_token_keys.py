@@ -44,9 +44,11 @@ def in_token(softhsm: SoftHsm, tokens: Tokens, kind: str = "P-256") -> keys.Priv
 def test_openssl_verifies_all_that_a_token_signs(softhsm: SoftHsm, tokens: Tokens, openssl: Openssl, kind: str) -> None:
     key = in_token(softhsm, tokens, kind)
     assert keys.fits(key, SPECS[kind])
-    authority = certificates.issue_authority(make_spec("CN=ca", key=SPECS[kind]), key, None)
+    authority = certificates.issue(make_spec("CN=ca", key=SPECS[kind]), key.public_key(), key, authority=True)
     issuer = certificates.Issuer(authority.certificate, key)
-    leaf = certificates.issue_identity(make_spec("CN=/talker"), keys.generate(SPECS["P-256"]).public_key(), issuer)
+    leaf = certificates.issue(
+        make_spec("CN=/talker"), keys.generate(SPECS["P-256"]).public_key(), issuer, authority=False
+    )
     signed = smime.sign(b"<dds/>\n", authority.certificate, key)
     builder = x509.CertificateRevocationListBuilder().issuer_name(authority.certificate.subject)
     moment = datetime(2026, 1, 1, tzinfo=UTC)
@@ -63,10 +65,11 @@ def test_openssl_verifies_all_that_a_token_signs(softhsm: SoftHsm, tokens: Token
 
 def test_an_authority_in_a_token_is_a_signer(softhsm: SoftHsm, tokens: Tokens) -> None:
     key = in_token(softhsm, tokens)
-    pem = certificates.issue_authority(make_spec("CN=ca"), key, None).pem
+    pem = certificates.issue(make_spec("CN=ca"), key.public_key(), key, authority=True).pem
     loaded = smime.load_signer(SigningAuthority("permissions_ca", pem, b"", token_key=key))
     assert loaded.key is key
-    other = certificates.issue_authority(make_spec("CN=ca"), keys.generate(SPECS["P-256"]), None).pem
+    another = keys.generate(SPECS["P-256"])
+    other = certificates.issue(make_spec("CN=ca"), another.public_key(), another, authority=True).pem
     with pytest.raises(KeymintError, match="does not belong to the certificate"):
         smime.load_signer(SigningAuthority("permissions_ca", other, b"", token_key=key))
 
@@ -101,7 +104,7 @@ def test_the_key_of_another_certificate_signs_nothing(softhsm: SoftHsm, tokens: 
     another = keys.generate(SPECS[kind])
     key = tokens.private_key(spec, another.public_key(), HERE)
     with pytest.raises(KeymintError, match="another key than the certificate") as error:
-        certificates.issue_authority(make_spec("CN=ca"), key, None)
+        certificates.issue(make_spec("CN=ca"), key.public_key(), key, authority=True)
     (found,) = error.value.diagnostics
     assert (found.code, found.where) == (token_keys.MISMATCH, HERE)
 

@@ -109,7 +109,7 @@ def test_the_certificate_in_the_token_is_enough(softhsm: SoftHsm, tmp_path: Path
     tokens = Tokens({}, lambda *_: PIN)
     spec = KeySpec("ec", "SECP256R1", uri=softhsm.make_key("ca"))
     public = tokens.public_key(spec)
-    issued = certificates.issue_authority(make_spec(), tokens.private_key(spec, public), None).certificate
+    issued = certificates.issue(make_spec(), public, tokens.private_key(spec, public), authority=True).certificate
     tokens.close()
     file = tmp_path / "ca.der"
     file.write_bytes(issued.public_bytes(serialization.Encoding.DER))
