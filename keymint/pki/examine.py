@@ -360,3 +360,24 @@ def issuer_with(certificate: x509.Certificate, key: keys.PrivateKey, where: Orig
             code="key-mismatch",
         )
     return certificates.Issuer(certificate, key)
+
+
+def require_signer(authority: x509.Certificate, at: datetime | None) -> None:
+    """Require that an authority may sign documents.
+
+    Args:
+        authority: its certificate.
+        at: the time at which it must be valid (aware); None: time does not matter.
+
+    Raises:
+        KeymintError: it may not, or not at this time.
+    """
+    if problem := certificates.can_sign_documents(authority):
+        raise KeymintError.of([problem])
+    begin, end = certificates.period(authority)
+    if at is not None and not begin <= at <= end:
+        raise KeymintError(
+            f"the authority's certificate is valid from {begin:%Y-%m-%d} to {end:%Y-%m-%d}, not at {at:%Y-%m-%d}",
+            help="extend the validity of the authority in the profile, then install",
+            code="smime-authority-expired",
+        )

@@ -204,15 +204,7 @@ def _read(signed: bytes, ca_pem: bytes, at: datetime | None) -> SignedDocument:
             help="'keymint install' signs it again",
             code="smime-signer",
         )
-    if problem := certificates.can_sign_documents(authority):
-        raise KeymintError.of([problem])
-    begin, end = certificates.period(authority)
-    if at is not None and not begin <= at <= end:
-        raise KeymintError(
-            f"the authority's certificate is valid from {begin:%Y-%m-%d} to {end:%Y-%m-%d}, not at {at:%Y-%m-%d}",
-            help="extend the validity of the authority in the profile, then install",
-            code="smime-authority-expired",
-        )
+    examine.require_signer(authority, at)
     if not cms.verify(signature, canonical_text(document.content), authority):
         raise KeymintError(
             "the signature is invalid: the document or its signature was altered",
