@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import posixpath
 import stat
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -169,11 +169,10 @@ def _keystore(session: Session, adoption: Adoption) -> Plan:
     kept = frozenset(adoption.found.kept)
     for target, path in _copies(session, adoption).items():
         file = adoption.files.files[path]
-        folders.setdefault(target.parent, {})[target.name] = File(
-            file.content,
-            secret=_is_secret(file),
-            link=file.link if _leads_to(path, file.link) in kept else "",
-        )
+        # No folder of a keystore is a link.
+        leads_to = posixpath.normpath(posixpath.join(posixpath.dirname(path), file.link)) if file.link else ""
+        link = file.link if leads_to in kept else ""
+        folders.setdefault(target.parent, {})[target.name] = File(file.content, secret=_is_secret(file), link=link)
     changes = tuple(FolderChange(folder, files) for folder, files in sorted(folders.items()))
     return Plan((Step(STAGE, "", Action.CREATED, changes, "the keystore as it was found"),), session.state)
 
@@ -195,22 +194,14 @@ def _register(session: Session, adoption: Adoption) -> Plan:
     return Plan((), session.state, first=register_change(session, complete_register(session, lossy=True)))
 
 
-def _leads_to(path: str, link: str) -> str:
-    """Return the path to which a link at a path leads; no folder of a keystore is a link."""
-    return posixpath.normpath(posixpath.join(posixpath.dirname(path), link)) if link else ""
-
-
 def _is_secret(file: KeystoreFile) -> bool:
     """Tell whether a file has a private key, or may have one in a form that is not read: its owner hides it."""
-    is_hidden = not file.mode & stat.S_IROTH
-    return keys.has_private_key(file.content) or (is_hidden and not _is_text(file.content))
-
-
-def _is_text(content: bytes) -> bool:
     try:
-        return "\0" not in content.decode()
+        is_text = "\0" not in file.content.decode()
     except UnicodeDecodeError:
-        return False
+        is_text = False
+    is_hidden = not file.mode & stat.S_IROTH
+    return keys.has_private_key(file.content) or (is_hidden and not is_text)
 
 
 def _copies(session: Session, adoption: Adoption) -> Mapping[Path, str]:
@@ -254,19 +245,13 @@ def _require_unchanged(adoption: Adoption, installed: Work) -> None:
         KeymintError: it would; names each such file.
     """
     copies = {str(target): path for target, path in _copies(installed.session, adoption).items()}
-    errors = [
-        Diagnostic.error(
-            "adopt-not-kept", "would be changed by 'keymint install', so it is not taken over",
-            Origin(f"{adoption.files.folder}/{copies[path]}"),
-            "make it what the other enclaves have, or leave the file out if nothing reads it"
-        )
-        for path in _changed(installed.of(INSTALL))
-        if path in copies
-    ]  # fmt: skip
+    message = "would be changed by 'keymint install', so it is not taken over"
+    help_ = "make it what the other enclaves have, or leave the file out if nothing reads it"
+    errors: list[Diagnostic] = []
+    for change in installed.of(INSTALL).changes():
+        for name in (*change.written, *change.removed):
+            if path := copies.get(posixpath.join(change.folder, name)):
+                where = Origin(f"{adoption.files.folder}/{path}")
+                errors.append(Diagnostic.error("adopt-not-kept", message, where, help_))
     if errors:
         raise KeymintError.of(errors)
-
-
-def _changed(plan: Plan) -> Iterator[str]:
-    for change in plan.changes():
-        yield from (posixpath.join(change.folder, name) for name in (*change.written, *change.removed))

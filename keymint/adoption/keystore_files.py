@@ -117,14 +117,27 @@ def _read(root: Path, path: str) -> KeystoreFile:
     """Return a file.
 
     Raises:
-        KeymintError: it is neither a file nor a link to one, leads out of the keystore, or it is too large.
+        KeymintError: it is neither a file nor a link to one, leads out of the keystore, also by way of other links, or
+            to nothing, or it is too large.
         OSError: it cannot be read.
     """
     status = (root / path).lstat()
     link, real = "", root / path
     if stat.S_ISLNK(status.st_mode):
         link = str(real.readlink())
-        real = _target(root, path, link)
+        try:
+            real = real.resolve(strict=True)
+        except (OSError, RuntimeError):
+            raise KeymintError(
+                f"is a link to {link!r}, which is not there", help="restore that file, or remove the link",
+                code="keystore-link",
+            ) from None  # fmt: skip
+        if link.startswith("/") or not real.is_relative_to(root):  # perhaps by way of other links
+            raise KeymintError(
+                f"is a link to {link!r}, which is not followed: it leads out of the keystore, or does so elsewhere",
+                help="replace it by the file itself, or by a relative link within the keystore",
+                code="keystore-link",
+            )
         status = real.lstat()
         if stat.S_ISDIR(status.st_mode):
             raise KeymintError(
@@ -137,25 +150,3 @@ def _read(root: Path, path: str) -> KeystoreFile:
     if len(content) > MAX_FILE:
         raise KeymintError(f"has more than {MAX_FILE} bytes", help="remove it", code="file-size")
     return KeystoreFile(content, stat.S_IMODE(status.st_mode), link)
-
-
-def _target(root: Path, path: str, link: str) -> Path:
-    """Return the file that a link leads to, within the keystore.
-
-    Raises:
-        KeymintError: it leads elsewhere, also by way of other links, or to nothing.
-    """
-    try:
-        real = (root / path).resolve(strict=True)
-    except (OSError, RuntimeError):
-        raise KeymintError(
-            f"is a link to {link!r}, which is not there", help="restore that file, or remove the link",
-            code="keystore-link",
-        ) from None  # fmt: skip
-    if link.startswith("/") or not real.is_relative_to(root):
-        raise KeymintError(
-            f"is a link to {link!r}, which is not followed: it leads out of the keystore, or does so elsewhere",
-            help="replace it by the file itself, or by a relative link within the keystore",
-            code="keystore-link",
-        )
-    return real

@@ -4,14 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import replace
 from typing import Any
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.values import dataclass
 from keymint.api import (
     ComparisonTask,
-    Counterexample,
     DocumentComparison,
     FoundEnclave,
     FoundKeystore,
@@ -24,7 +23,7 @@ from keymint.api.plugin_loader import Plugins
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.names import package_name
-from keymint.stages.proof.proof_results import ProofEffort, costliest
+from keymint.stages.proof.proof_results import ProofEffort, costliest, in_words
 
 _WORDS = {
     Relation.EQUAL: "equal to the policy",
@@ -45,7 +44,6 @@ class AdoptedPolicy:
         files: files to write into the profile space, by path relative to it; none if the policy lies elsewhere.
         rules: the rules of each subject that it has any for.
         subjects: the subjects that it names.
-        learned: it was made from the signed documents.
         diagnostics: what changes or is lost.
     """
 
@@ -53,7 +51,6 @@ class AdoptedPolicy:
     files: Mapping[str, bytes]
     rules: Mapping[str, SubjectRules]
     subjects: tuple[str, ...]
-    learned: bool = False
     diagnostics: tuple[Diagnostic, ...] = ()
 
 
@@ -79,12 +76,18 @@ class Compared:
     def as_json(self) -> dict[str, Any]:
         """Return the result as JSON."""
         found = self.comparison
-        return {
-            "relation": str(found.relation),
-            "missing": _example_json(found.missing),
-            "excess": _example_json(found.excess),
-            "reason": found.reason or None,
+        examples = {
+            key: None
+            if example is None
+            else {
+                "action": example.endpoint.action,
+                "name": example.endpoint.name,
+                "document": example.document.allowed,
+                "policy": example.policy.allowed,
+            }
+            for key, example in (("missing", found.missing), ("excess", found.excess))
         }
+        return {"relation": str(found.relation), **examples, "reason": found.reason or None}
 
 
 def document_comparisons(
@@ -122,45 +125,11 @@ def document_comparisons(
 
 def differences(found: DocumentComparison) -> str:
     """Return the shortest names on which a document and a policy differ, in words."""
-    return "; ".join(_example(each) for each in (found.missing, found.excess) if each is not None)
-
-
-def _example(example: Counterexample) -> str:
-    permits = "permits" if example.document.allowed else "does not permit"
-    allows = "allows" if example.policy.allowed else "does not allow"
-    meaning = f" ({example.meaning.permission} {example.meaning.object.name})" if example.meaning else ""
-    return f"it {permits} {example.endpoint.action} {example.endpoint.name!r}{meaning}, which the policy {allows}"
-
-
-def _example_json(example: Counterexample | None) -> dict[str, Any] | None:
-    if example is None:
-        return None
-    return {
-        "action": example.endpoint.action,
-        "name": example.endpoint.name,
-        "document": example.document.allowed,
-        "policy": example.policy.allowed,
-    }
+    words = (in_words(each) for each in (found.missing, found.excess) if each is not None)
+    return "; ".join(f"it {permits} {name}, which the policy {allows}" for permits, name, allows in words)
 
 
 # -- learn a policy from the signed documents of a keystore -----------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class LearnedKeystore:
-    """A policy that means what the signed documents of a keystore do.
-
-    Attributes:
-        document: the policy.
-        granted: what the document of each enclave grants.
-        subjects: the rules of each subject, as the policy gives them.
-        diagnostics: what was left out because it has no effect, and what is wrong with the keystore, as warnings.
-    """
-
-    document: bytes = field(repr=False)
-    granted: tuple[GrantedRules, ...]
-    subjects: tuple[SubjectRules, ...]
-    diagnostics: tuple[Diagnostic, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +153,7 @@ class Learning:
 
 def learned_from(
     plugins: Plugins, files: KeystoreFiles, found: FoundKeystore, learning: Learning, unclear: Sequence[Diagnostic]
-) -> LearnedKeystore:
+) -> tuple[bytes, list[GrantedRules], tuple[Diagnostic, ...]]:
     """Return the policy of a keystore, proven to mean what its signed documents mean, for all names.
 
     Args:
@@ -193,6 +162,10 @@ def learned_from(
         found: what it has.
         learning: how the policy is learned.
         unclear: the findings because of which nobody can tell what its documents grant to a subject.
+
+    Returns:
+        The policy; what the document of each enclave grants, with the rules as the policy gives them; and as warnings
+        what was left out because it has no effect, and what is wrong with the keystore.
 
     Raises:
         KeymintError: a signature does not verify, a document grants what no policy can say, or the proof fails; each
@@ -205,7 +178,10 @@ def learned_from(
     errors: list[Diagnostic] = []
     for enclave in found.enclaves:
         try:
-            _check_name(files, enclave)
+            try:
+                package_name(enclave.subject)
+            except KeymintError as error:  # no policy can name its path
+                raise error.at(Origin(f"{files.folder}/{enclave.facts['place']}")) from None
             granted.append(learning.reader.granted(files, enclave, learning.distro))
         except KeymintError as error:
             errors += (replace(each, subject=enclave.subject) for each in error.diagnostics)
@@ -215,27 +191,19 @@ def learned_from(
     if policy is None:
         raise KeymintError(f"the policy type {learning.policy_type!r} cannot write rules", code="learn-unsupported")
     document, subjects = policy
-    if unproven := list(_unproven(granted, subjects, learning)):
+    granted = [replace(each, rules=rules) for each, rules in zip(granted, subjects, strict=True)]
+    if unproven := list(_unproven(granted, learning)):
         raise KeymintError.of(unproven)
     defects = (each for each in found.diagnostics if each.severity is Severity.ERROR)
     warnings = (replace(each, severity=Severity.WARNING) for each in defects)
     diagnostics = (*warnings, *(diagnostic for each in granted for diagnostic in each.diagnostics))
-    return LearnedKeystore(document, tuple(granted), subjects, diagnostics)
+    return document, granted, diagnostics
 
 
-def _check_name(files: KeystoreFiles, enclave: FoundEnclave) -> None:
-    """Raise an error at the place of an enclave whose path no policy can name."""
-    try:
-        package_name(enclave.subject)
-    except KeymintError as error:
-        raise error.at(Origin(f"{files.folder}/{enclave.facts['place']}")) from None
-
-
-def _unproven(
-    granted: Sequence[GrantedRules], written: Sequence[SubjectRules], learning: Learning
-) -> Iterator[Diagnostic]:
+def _unproven(granted: Iterable[GrantedRules], learning: Learning) -> Iterator[Diagnostic]:
     """Yield an error for each document that is not proven to mean what its subject's rules in the policy mean."""
-    for each, rules in zip(granted, written, strict=True):
+    for each in granted:
+        rules = each.rules
         task = ComparisonTask(
             each.document, each.file, each.offset, each.subject_name, rules, learning.distro, each.domains,
             learning.effort.states, learning.effort.deadline(),

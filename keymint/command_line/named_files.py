@@ -132,6 +132,19 @@ def deliver(run: Run, output: Path | None, content: bytes, keep: KeymintError | 
     return {"file": str(output), "written": written}
 
 
+def differing(path: Path | None, made: str, other: str, code: str) -> KeymintError:
+    """Return the error for a file that has other content than the policy to write, and is to be kept.
+
+    Args:
+        path: the file.
+        made: how the policy was made, a participle.
+        other: what else the user may do than to replace it.
+        code: code of the error.
+    """
+    message, help_ = f"exists and differs from the {made} policy", f"{other}, or replace it with --force"
+    return KeymintError(message, where=Origin(str(path)), help=help_, code=code)
+
+
 def exists(run: Run, path: Path) -> bool:
     """Return whether a path that the user named exists."""
     return _resolved(run, path).exists()

@@ -20,7 +20,6 @@ import pickle
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, is_dataclass, replace
-from datetime import datetime
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, cast
 
@@ -226,12 +225,9 @@ def _plan(
         if any(each.errors for each in plans):
             return
         session = session_after(session, stage.NAME, plans)
-        names = [each.name for each in plans if _is_installed(each)]
+        installed = [each for each in plans if not each.withdrawn]
+        names = [each.name for each in installed if each.step is None or each.step.action is not Action.KEPT]
         yield [change for each in plans if each.step for change in each.step.changes]
-
-
-def _is_installed(plan: PackagePlan) -> bool:
-    return not plan.withdrawn and (plan.step is None or plan.step.action is not Action.KEPT)
 
 
 def _without_bytes(plan: PackagePlan) -> PackagePlan:
@@ -353,30 +349,20 @@ def remember(
     expected = next_report(plan, report)
     if expected is None or sight is None or not is_recordable(call, str(inputs.workspace.root)):
         return
-    session = _session_after(inputs, plan)
+    # Profile, authorities and record as they are after the plan; the enclaves of a fleet would take memory.
+    workspace = inputs.workspace
+    changed = [item for space in (workspace.profile, workspace.public) for item in plan.overlay(f"{space}/")]
+    session = replace(inputs, tree=inputs.tree.overlaid(changed), state=plan.state).session()
     seen = recorded_files(session)
     if seen is None:
         return
+    validities = [authority.certificate.validity for authority in session.profile.authorities]
+    dates = [date for each in validities for date in (each.not_before, each.not_after)]
+    dates += (each.next_update for each in loaded_lists(session).values())
     answer = Answer(*console.rendered(expected), int(expected.exit_code))
-    content = record(call, str(inputs.workspace.root), sight, seen, _dates(session), answer)
+    content = record(call, str(workspace.root), sight, seen, dates, answer)
     if content is not None:
-        store.write(inputs.workspace.state, {name_of(call): File(content)})
-
-
-def _session_after(inputs: Inputs, plan: Plan) -> Session:
-    """Return profile, authorities and record as they are after a plan; the enclaves of a fleet would take memory."""
-    workspace = inputs.workspace
-    changed = [item for space in (workspace.profile, workspace.public) for item in plan.overlay(f"{space}/")]
-    return replace(inputs, tree=inputs.tree.overlaid(changed), state=plan.state).session()
-
-
-def _dates(session: Session) -> Iterator[datetime]:
-    """Yield the dates of authorities and revocation lists."""
-    for authority in session.profile.authorities:
-        yield authority.certificate.validity.not_before
-        yield authority.certificate.validity.not_after
-    for found in loaded_lists(session).values():
-        yield found.next_update
+        store.write(workspace.state, {name_of(call): File(content)})
 
 
 def next_report(plan: Plan, report: Report) -> Report | None:
@@ -387,16 +373,15 @@ def next_report(plan: Plan, report: Report) -> Report | None:
     """
     if not plan.writes():
         return report
-    if report.diagnostics or any(_is_unclear(step) for step in plan.steps):
+    # It is not known how such a step is reported next time.
+    unclear = {Action.REMOVED, Action.KEPT}
+    if report.diagnostics or any(
+        step.action in unclear or (step.stage == BUILD and not step.package) for step in plan.steps
+    ):
         return None
     # What has no package is only reported if it is written.
-    return replace(report, steps=[_again(step) for step in plan.steps if step.package])
-
-
-def _is_unclear(step: Step) -> bool:
-    """Tell whether it is not known how a step is reported next time."""
-    return step.action in {Action.REMOVED, Action.KEPT} or (step.stage == BUILD and not step.package)
-
-
-def _again(step: Step) -> Step:
-    return Step(step.stage, step.package, Action.UNCHANGED, detail=step.detail if step.stage == AUTHORITIES else "")
+    written = [step for step in plan.steps if step.package]
+    details = [step.detail if step.stage == AUTHORITIES else "" for step in written]
+    again = zip(written, details, strict=True)
+    steps = [Step(step.stage, step.package, Action.UNCHANGED, detail=detail) for step, detail in again]
+    return replace(report, steps=steps)

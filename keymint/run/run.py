@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
-import functools
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import field, replace
@@ -71,10 +70,6 @@ class Setting:
 
 
 _T = TypeVar("_T")
-
-
-def _writes_below(roots: Collection[str], plan: Plan) -> bool:
-    return any(f"{change.folder}/".startswith(f"{root}/") for root in roots for change in plan.changes())
 
 
 def exit_code_of(plan: Plan) -> ExitCode:
@@ -331,16 +326,17 @@ class Run:
             make_plan: makes the plan.
             exit_code: returns the exit code of an executed plan.
         """
-        with contextlib.closing(self.crew), contextlib.closing(self.tokens):
-            return self._carry_out(workspace, functools.partial(self._plan, make_plan), exit_code)
 
-    def _plan(self, make_plan: Callable[[Inputs], Plan], inputs: Inputs) -> Plan:
-        self.crew.close()  # those of an earlier plan
-        try:
-            return make_plan(inputs)
-        except HeldError:
-            self.crew.give_up()
-            return make_plan(inputs)
+        def planned_from(inputs: Inputs) -> Plan:
+            self.crew.close()  # those of an earlier plan
+            try:
+                return make_plan(inputs)
+            except HeldError:
+                self.crew.give_up()
+                return make_plan(inputs)
+
+        with contextlib.closing(self.crew), contextlib.closing(self.tokens):
+            return self._carry_out(workspace, planned_from, exit_code)
 
     def _carry_out(
         self, workspace: Workspace, make_plan: Callable[[Inputs], Plan], exit_code: Callable[[Plan], ExitCode]
@@ -365,7 +361,9 @@ class Run:
             shared = not store.missing
             if planned is None or shared or workspace.exists() or workspace.state.joinpath(RECORD).exists():
                 planned = self._planned_again(workspace, make_plan)
-            if _writes_below(store.missing, planned[1]) and store.lock_missing(self.console.waiting):
+            below = tuple(f"{root}/" for root in store.missing)
+            writes_there = any(f"{change.folder}/".startswith(below) for change in planned[1].changes())
+            if writes_there and store.lock_missing(self.console.waiting):
                 planned = self._planned_again(workspace, make_plan)
             inputs, plan, sight = planned
             require_register(plan, workspace, inputs.tree)

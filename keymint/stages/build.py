@@ -15,6 +15,7 @@ from keymint.errors import KeymintError
 from keymint.executors import Pool
 from keymint.ir import kind_of
 from keymint.life import terms
+from keymint.life.package_issuance import place_of
 from keymint.names import name_of, subject_of
 from keymint.stages import identities
 from keymint.stages.documents import (
@@ -109,14 +110,12 @@ class BuildStage(PackageStage):
             diagnostics: the diagnostics, which cite the places that the sources of the packages state.
             subject: whose diagnostics these are; if empty, each names its own.
         """
-        return tuple(self._with_present_place(each, subject or each.subject) for each in diagnostics)
-
-    def _with_present_place(self, diagnostic: Diagnostic, subject: str) -> Diagnostic:
-        where = diagnostic.where
-        if where is None or not subject:
-            return diagnostic
-        place = self._moved(subject).get(where)
-        return replace(diagnostic, where=place) if place else diagnostic
+        found = []
+        for each in diagnostics:
+            whose = subject or each.subject
+            place = self._moved(whose).get(each.where) if each.where and whose else None
+            found.append(replace(each, where=place) if place else each)
+        return tuple(found)
 
     def _moves(self, subject: str) -> Mapping[Origin, Origin]:
         """Return the rules that moved: their places in the policy by those that the sources state."""
@@ -176,7 +175,8 @@ def _plan_documents(session: Session, name: str, options: BuildOptions, *, force
     bytes_of = {file: len(content) for file, content in built.documents.items()}
     plain = bytes_of if shared else dict(sorted(built.plain_sizes.items()))
     sizes = tuple(DocumentSize(file, bytes_of[file], size) for file, size in plain.items())
-    shown = ", ".join(map(_smaller, sizes))
+    plain_bytes = (f", plain {each.plain_bytes:,}" if each.bytes != each.plain_bytes else "" for each in sizes)
+    shown = ", ".join(f"{each.file} {each.bytes:,} bytes{more}" for each, more in zip(sizes, plain_bytes, strict=True))
     # The sizes of a report are those of packages.
     step = Step(STAGE, "" if shared else name, action, (*minted, *changes), shown, () if shared else sizes)
     own, build_types = (terms.lifetimes(package), package.build_types) if package else ((), (shared,))
@@ -223,8 +223,13 @@ def _key(session: Session, package: Package, *, renew: bool) -> tuple[tuple[Fold
     Raises:
         KeymintError: the stored key cannot be used, or the key to replace is elsewhere.
     """
-    if renew:
-        identities.refuse_elsewhere(session, package.name)
+    if renew and (package.issuance.public_key or package.identity.key.uri):
+        raise KeymintError(
+            f"the private key of {package.subject} is not here, so no other one is made for it",
+            where=place_of(session, package.name),
+            help="run 'keymint request' on the machine that is to have the key, then 'keymint sign' here",
+            code="key-elsewhere",
+        )
     if package.issuance.public_key or identities.is_awaited(package):
         return (), ""  # the private key is on the subject's machine, and none is needed here
     if not renew and session.tree.read(session.workspace.identity_key(package.name)) is not None:
@@ -255,12 +260,6 @@ def _built(session: Session, package: Package, options: BuildOptions) -> BuildRe
             diagnostics += built.diagnostics
     defects.require_none()
     return BuildResult(documents, tuple(dict.fromkeys(diagnostics)), sizes)
-
-
-def _smaller(size: DocumentSize) -> str:
-    if size.bytes == size.plain_bytes:
-        return f"{size.file} {size.bytes:,} bytes"
-    return f"{size.file} {size.bytes:,} bytes, plain {size.plain_bytes:,}"
 
 
 # -- on a cluster ------------------------------------------------------------------------------------------------------

@@ -132,24 +132,6 @@ def stale(session: Session, policy: api.LoadedPolicy, names: Sequence[str]) -> M
     return differing
 
 
-def refuse_named(policy: api.LoadedPolicy, infrastructure: Mapping[str, tuple[str, str]]) -> None:
-    """Refuse a policy that names a package of infrastructure exactly.
-
-    Raises:
-        KeymintError: it names one, at the profile that does.
-    """
-    subjects = set(policy.subjects())
-    for name, (title, _) in infrastructure.items():
-        if subject_of(name) in subjects:
-            profiles = policy.profiles(subject_of(name))
-            raise KeymintError(
-                f"the policy names {subject_of(name)}, which is {title} and no subject of the policy",
-                where=profiles[-1].where if profiles else None,
-                help="rename the subject, or give the package of the transport another name in the profile",
-                code="infrastructure-named",
-            )
-
-
 class CreateStage(PackageStage):
     """The stage ``create``; what packages share is computed once.
 
@@ -180,7 +162,16 @@ class CreateStage(PackageStage):
             KeymintError: names collide, are reserved, or the policy names a package of infrastructure.
         """
         session, infrastructure = self._session, self._session.needed_infrastructure()
-        refuse_named(self._policy, infrastructure)
+        policy = self._policy
+        named = set(policy.subjects()).intersection(map(subject_of, infrastructure))
+        for name in (each for each in infrastructure if subject_of(each) in named):
+            profiles = policy.profiles(subject_of(name))
+            raise KeymintError(
+                f"the policy names {subject_of(name)}, which is {infrastructure[name][0]} and no subject of the policy",
+                where=profiles[-1].where if profiles else None,
+                help="rename the subject, or give the package of the transport another name in the profile",
+                code="infrastructure-named",
+            )
         others = {name for name in self.existing.intersection(names) if session.role(name) is not api.Role.SUBJECT}
         subjects = [name for name in names if name not in infrastructure and name not in others]
         refuse_case_collisions([*self.existing, *subjects, *infrastructure])
@@ -216,7 +207,9 @@ class CreateStage(PackageStage):
         is_kept = stamp is not None and stamp.outputs == outputs and not force and not self._valid_for
         if stamp and is_kept and stamp.inputs == self._inputs:
             return PackagePlan(name, Step(STAGE, name, Action.UNCHANGED))
-        context = self._rules_digest(subject_of(name))
+        known_rules = self._policy.rules_digest(subject_of(name))
+        # The digest of everything that the sources of a subject are made of; empty if it is not known.
+        context = digest(known_rules, session.profile_digest) if known_rules else ""
         if stamp and is_kept and context and stamp.context == context:  # other subjects have other rules now
             return PackagePlan(name, Step(STAGE, name, Action.UNCHANGED), replace(stamp, inputs=self._inputs))
         files = session.package_files(name) if digests else {}
@@ -238,13 +231,10 @@ class CreateStage(PackageStage):
         action = (Action.UPDATED if known else Action.CREATED) if changes else Action.UNCHANGED
         step = Step(STAGE, name, action, changes)
         outputs |= _outputs({file: new_file.digest for file, new_file in written.items()})
-        found = (*(unnamed if known else ()), *self._former(rules, files if changes else {}))
+        # Documents of former versions that are replaced.
+        former = self._package_type.former_rules(rules, files) if changes and files else ()
+        found = (*(unnamed if known else ()), *(with_place(each, session.workspace.src) for each in former))
         return PackagePlan(name, step, Stamp(self._inputs, outputs, context=context), found, errors)
-
-    def _former(self, rules: SubjectRules, files: Mapping[str, bytes]) -> tuple[Diagnostic, ...]:
-        """Return the warnings about documents of former versions that are replaced."""
-        found = self._package_type.former_rules(rules, files) if files else ()
-        return tuple(with_place(each, self._session.workspace.src) for each in found)
 
     def _with_validity(self, rules: SubjectRules, files: Mapping[str, bytes]) -> Mapping[str, bytes]:
         """Return the files of a package that change so that it has the requested validity."""
@@ -271,11 +261,6 @@ class CreateStage(PackageStage):
         generation = register_of(session).generation(name)
         decided = package_type.with_issuance(api.Issuance(generation)) if generation else {}
         return {file: content for file, content in decided.items() if file not in session.file_digests(name)}
-
-    def _rules_digest(self, subject: str) -> str:
-        """Return the digest of everything that the sources of a subject are made of; empty if it is not known."""
-        rules = self._policy.rules_digest(subject)
-        return digest(rules, self._session.profile_digest) if rules else ""
 
     def _infrastructure(self, name: str, build_type: str) -> PackagePlan:
         """Return the plan for a package that a transport needs, which does not follow the policy."""
@@ -334,7 +319,11 @@ def policy_changed(session: Session) -> tuple[Diagnostic, ...]:
     if not is_recorded(session) or is_unchanged(session):
         return ()
     try:
-        names = _changed_packages(session)
+        policy = load_policy(session)
+        existing, before = session.packages(), recorded_subjects(session)
+        # Those that differ from the policy, and those of subjects that it did not name before.
+        new = {package_of(policy, subject) for subject in policy.subjects() if subject not in before}
+        names = sorted({*stale(session, policy, existing), *(new - set(existing))})
     except KeymintError as error:
         message = f"the policy changed since the packages were created, and cannot be read: {error.diagnostics[0]}"
         return (Diagnostic.warning(CHANGED, message, None, "fix it, then run 'keymint create --all'"),)
@@ -343,15 +332,6 @@ def policy_changed(session: Session) -> tuple[Diagnostic, ...]:
     shown = first_few([subject_of(name) for name in names])
     message = f"{quantity(len(names), 'source package')} out of date with the policy: {shown}"
     return (Diagnostic.warning(CHANGED, message, None, "run 'keymint create --all'"),)
-
-
-def _changed_packages(session: Session) -> list[str]:
-    """Return the packages that differ from the policy, and those of subjects that it did not name before."""
-    policy = load_policy(session)
-    existing = session.packages()
-    before = recorded_subjects(session)
-    new = {package_of(policy, subject) for subject in policy.subjects() if subject not in before}
-    return sorted({*stale(session, policy, existing), *(new - set(existing))})
 
 
 def subjects_without_package(inputs: Inputs, policy: api.LoadedPolicy, known: Sequence[str]) -> tuple[Diagnostic, ...]:

@@ -97,19 +97,11 @@ def refuse_edits(inputs: Inputs, name: str, existing: Mapping[str, bytes | None]
         if content is None or inputs.state.wrote(BUILD, name, file, content):
             continue
         where = inputs.workspace.origin(documents_folder(inputs, name) / file)
+        message, help_, code = "was edited by hand, and its sources changed too", "discards the edit", HAND_EDITED
         if not shared_type(name) and inputs.state.stamp(BUILD, name) is None:
-            raise KeymintError(
-                "is not from a build of this workspace, and differs from what its sources give",
-                where=where,
-                help=f"{_rebuild(name)} replaces it",
-                code="build-foreign",
-            )
-        raise KeymintError(
-            "was edited by hand, and its sources changed too",
-            where=where,
-            help=f"{_rebuild(name)} discards the edit",
-            code=HAND_EDITED,
-        )
+            message = "is not from a build of this workspace, and differs from what its sources give"
+            help_, code = "replaces it", "build-foreign"
+        raise KeymintError(message, where=where, help=f"{_rebuild(name)} {help_}", code=code)
 
 
 def edits(inputs: Inputs, name: str, documents: Mapping[str, bytes]) -> Iterator[Diagnostic]:

@@ -53,21 +53,6 @@ def is_there(session: Session, name: str) -> bool:
     return is_awaited(session.package(name))  # no key is ever made for it here
 
 
-def refuse_elsewhere(session: Session, name: str) -> None:
-    """Refuse to make a new key for a package whose private key is not here.
-
-    Raises:
-        KeymintError: it is not here; what the authority decided about the package, or its sources, say so.
-    """
-    if session.issuance(name).public_key or session.package(name).identity.key.uri:
-        raise KeymintError(
-            f"the private key of {subject_of(name)} is not here, so no other one is made for it",
-            where=place_of(session, name),
-            help="run 'keymint request' on the machine that is to have the key, then 'keymint sign' here",
-            code="key-elsewhere",
-        )
-
-
 def is_awaited(package: Package) -> bool:
     """Tell whether the key of a package lies in the token of its subject, and no request has brought its public key."""
     return bool(package.identity.key.uri) and not package.issuance.public_key
@@ -223,7 +208,12 @@ def sign(
         try:
             own = build_type.install(package, documents, credentials, session.profile.layout, existing)
         except KeymintError as error:
-            raise KeymintError.of([_placed(each, session, package) for each in error.diagnostics]) from error
+            # Build types name the package's documents relative to build/.
+            own_documents, build = f"{package.name}/", session.workspace.build
+            raise KeymintError.of(
+                with_place(each, build) if each.where and each.where.file.startswith(own_documents) else each
+                for each in error.diagnostics
+            ) from error
         different = {file for file, artifact in own.items() if artifacts.get(file, artifact) != artifact}
         if conflicts := two_writers(session, package, writers, name, own, different):
             raise KeymintError.of(conflicts)
@@ -231,12 +221,6 @@ def sign(
     identity, generation, rights = package.identity, package.issuance.generation, digest_files(documents)
     entry = entry_of(loaded, issuer.certificate, identity.issuer, package.name, generation, rights)
     return artifacts, entry, warnings
-
-
-def _placed(diagnostic: Diagnostic, session: Session, package: Package) -> Diagnostic:
-    """Return a diagnostic with its full path: build types name the package's documents relative to ``build/``."""
-    is_of_document = diagnostic.where is not None and diagnostic.where.file.startswith(f"{package.name}/")
-    return with_place(diagnostic, session.workspace.build) if is_of_document else diagnostic
 
 
 def _going_on(

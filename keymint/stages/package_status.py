@@ -18,7 +18,7 @@ from keymint.life.workspace_register import register_of, withdrawn
 from keymint.names import name_of, subject_of
 from keymint.stages import build, create, install
 from keymint.stages.documents import built_documents, installed_shared, is_built
-from keymint.store.changes import FolderChange, Plan
+from keymint.store.changes import Plan
 from keymint.view.stamps import Stamp, State
 from keymint.workspace.installed_enclaves import enclave_names, hidden, installed_certificate, orphans
 from keymint.workspace.package_build_types import BUILD, is_build_current, record_key, users
@@ -187,21 +187,16 @@ def renewable_packages(
     for name in names:
         with defects:
             if rekey and session.issuance(name).public_key:
-                requests.append(_request(session, name))
+                message = f"the private key of {subject_of(name)} is not here, so a new one must be made where it is"
+                help_ = "run 'keymint request' there, then 'keymint sign' here"
+                where = place_of(session, name)
+                requests.append(Diagnostic.warning("request-needed", message, where, help_, subject_of(name)))
                 continue
             _require_certified(session, name, there, rekey=rekey)
             stamps |= _require_same(session, name)
             taken.append(name)
     state = session.state.updated(build.STAGE, stamps) if stamps else session.state
     return taken, state, requests, defects.found
-
-
-def _request(session: Session, name: str) -> Diagnostic:
-    return Diagnostic.warning(
-        "request-needed",
-        f"the private key of {subject_of(name)} is not here, so a new one must be made where it is",
-        place_of(session, name), "run 'keymint request' there, then 'keymint sign' here", subject_of(name),
-    )  # fmt: skip
 
 
 def _require_certified(session: Session, name: str, there: Collection[str], *, rekey: bool) -> None:
@@ -239,7 +234,9 @@ def _require_same(session: Session, name: str) -> Mapping[str, Stamp]:
     planned = build.BuildStage(session, BuildOptions()).package(name)
     if planned.errors:
         raise KeymintError.of(planned.errors)
-    if planned.step and any(_is_other(session, name, change) for change in planned.step.changes):
+    folder = session.workspace.build / name
+    changes = [each for each in planned.step.changes if each.folder == folder] if planned.step else []
+    if any(each.removed or each.files for each in changes):  # it gets other documents than it has
         raise KeymintError(
             f"the sources of {subject_of(name)} changed since its documents were built, and a renewal changes "
             "nothing but dates",
@@ -248,11 +245,6 @@ def _require_same(session: Session, name: str) -> Mapping[str, Stamp]:
             code="sources-changed",
         )
     return {name: planned.stamp} if planned.stamp and planned.step and not planned.step.writes() else {}
-
-
-def _is_other(session: Session, name: str, change: FolderChange) -> bool:
-    """Tell whether a change gives a package other documents than it has."""
-    return change.folder == session.workspace.build / name and bool(change.removed or change.files)
 
 
 def refuse_new_authorities(session: Session, plan: Plan) -> None:

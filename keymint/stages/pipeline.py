@@ -82,10 +82,6 @@ class Request:
     checks: Mapping[str, Callable[[Work], None]] = field(default_factory=dict)
     notes: Callable[[Work], Iterable[Diagnostic]] = lambda _: ()
 
-    def preceded_by(self, change: Plan) -> Request:
-        """Return the same request with one more change in front, which the other enclaves follow."""
-        return replace(self, change=self.change.then(change) if self.change else change, follow=True)
-
 
 def conduct(work: Work, request: Request, crew: Crew) -> Work:
     """Return some work followed by the stages for some packages, and by what that demands of others.
@@ -131,9 +127,9 @@ def _conducted(start: Work, request: Request, crew: Crew) -> Work:
         stage = stages[INSTALL](unsigned)
         planned = crew.planned(stage, names)
         work = _checked(work.then(stage.plan(planned), INSTALL), INSTALL, request)
-        if narrower := _superseding(changed.session, work.of(INSTALL), request):
+        if superseding := _superseding(changed.session, work.of(INSTALL), request):
             crew.close()
-            return _conducted(start, request.preceded_by(narrower), crew)
+            return _conducted(start, superseding, crew)
         issued = [each.name for each in planned if not each.withdrawn]
         if request.follow:
             work = work.then(plan_distribution(start.session, work.session, names), INSTALL)
@@ -262,8 +258,8 @@ def updated_packages(plan: Plan) -> list[str]:
     return [step.package for step in steps if step.package]
 
 
-def _superseding(session: Session, installed: Plan, request: Request) -> Plan | None:
-    """Return the plan that revokes the certificates of packages whose new signed rights are narrower, or None.
+def _superseding(session: Session, installed: Plan, request: Request) -> Request | None:
+    """Return the request that first revokes the certificates of packages whose new rights are narrower, or None.
 
     What is planned so far is then planned again after it: each package gets a certificate of a new generation.
 
@@ -280,7 +276,10 @@ def _superseding(session: Session, installed: Plan, request: Request) -> Plan | 
     if not asked or not found or request.beside:
         return None
     revoking = plan_revocation(session, tuple(found), SUPERSEDED)
-    return revoking.plan.noting(*revoking.diagnostics) if revoking.plan.writes() else None
+    if not revoking.plan.writes():
+        return None
+    change = revoking.plan.noting(*revoking.diagnostics)
+    return replace(request, change=request.change.then(change) if request.change else change, follow=True)
 
 
 def plan_distribution(before: Session, session: Session, omitted: Collection[str]) -> Plan:

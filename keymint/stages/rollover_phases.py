@@ -123,8 +123,10 @@ def exchanged_keystore(crew: Crew, session: Session, name: str, names: Sequence[
     """
     switch = plan_switch(session, name)
     key, *profile = switch.steps
-    copied = (*_copied(session), *_moved_list(session, name))
-    copies = Step("install", "", Action.UPDATED, copied, "the second keystore")
+    own, beside = _lists(session, name)
+    content = session.tree.read(beside)
+    list_in_force = () if content is None else folder_changes(session.tree, own.parent, {own.name: content})
+    copies = Step("install", "", Action.UPDATED, (*_copied(session), *list_in_force), "the second keystore")
     first = replace(switch, steps=(key, copies, *profile))
     done = conduct(Work(session).then(first), Request(names), crew).plan
     # The profile comes late: until then a run that was killed is recognised by the key, and copies the rest.
@@ -140,13 +142,6 @@ def dropped_keystore(session: Session) -> tuple[Step, ...]:
             folders.setdefault(Path(path).parent, []).append(Path(path).name)
     changes = tuple(FolderChange(folder, removed=tuple(sorted(names))) for folder, names in sorted(folders.items()))
     return (Step(STAGE, "", Action.REMOVED, changes, "the second keystore"),) if changes else ()
-
-
-def _moved_list(session: Session, name: str) -> tuple[FolderChange, ...]:
-    """Return what puts the revocation list of the next authority in force, if it has one."""
-    own, beside = _lists(session, name)
-    content = session.tree.read(beside)
-    return () if content is None else folder_changes(session.tree, own.parent, {own.name: content})
 
 
 def _copied(session: Session) -> list[FolderChange]:
@@ -194,7 +189,11 @@ def phase_plan(crew: Crew, session: Session, name: str, request: PhaseRequest) -
     """
     phase, names = rollover.phase_of(session, name), _names(session, name)
     if request.cancel or (phase is None and request.phase is Phase.END):
-        return _without_next(crew, session, name, names)
+        # Without a phase there may be something missing of an end that a killed run began.
+        begun = phase is not None
+        first = rollover.plan_cancel(session, name) if begun else Plan(rollover.left_over(session, name), session.state)
+        first = replace(first, steps=(*first.steps, *dropped_keystore(session)))
+        return conduct(Work(session).then(first), Request(names), crew).plan
     if phase is None:
         return _begun(crew, session, name, names, request)
     _require_same_begin(session, name, phase, request)
@@ -283,14 +282,6 @@ def _went_on(crew: Crew, session: Session, name: str, names: Sequence[str]) -> P
     if phase is Phase.STAGE:
         return exchanged_keystore(crew, session, name, names)
     first = rollover.plan_switch(session, name) if phase is Phase.DISTRIBUTE else rollover.plan_end(session, name)
-    return conduct(Work(session).then(first), Request(names), crew).plan
-
-
-def _without_next(crew: Crew, session: Session, name: str, names: Sequence[str]) -> Plan:
-    """Return the plan that gives up; without a phase, what is missing of an end that a killed run began, if any."""
-    begun = rollover.phase_of(session, name) is not None
-    first = rollover.plan_cancel(session, name) if begun else Plan(rollover.left_over(session, name), session.state)
-    first = replace(first, steps=(*first.steps, *dropped_keystore(session)))
     return conduct(Work(session).then(first), Request(names), crew).plan
 
 

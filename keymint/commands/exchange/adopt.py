@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -16,12 +16,10 @@ from keymint.adoption.keystore_files import found_in
 from keymint.adoption.keystore_policy import AdoptedPolicy, Compared, Learning, document_comparisons, learned_from
 from keymint.api import (
     Bootstrap,
-    FoundAuthority,
     FoundEnclave,
     FoundKeystore,
     ImportRequest,
     KeystoreFiles,
-    KeystoreReader,
 )
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import DEFAULT_DISTRO, DEFAULT_PROFILE_TYPE, PolicyOptions, distro_option
@@ -82,9 +80,9 @@ def adopt(
     target = options.distro or DEFAULT_DISTRO
     own: AdoptedPolicy | None = None
     comparisons: tuple[Compared, ...] = ()
+    effort = ProofEffort(run.setting.monotonic, _STATES)
     if policy is not None:
         own = _named_policy(run, policy, workspace, options, found, accept=accept, implicit=implicit)
-        effort = ProofEffort(run.setting.monotonic, _STATES)
         comparisons = document_comparisons(reader, found.enclaves, own.rules, target, effort)
     different = [each for each in (policy_finding(one) for one in comparisons) if each]
     rules = of_documents(reader, files, found.enclaves, target)
@@ -99,7 +97,11 @@ def adopt(
         return replace(run.finish(workspace), result=result)
     _refuse(run, files, found, workspace)
     if own is None:
-        own = _learned_policy(run, reader, files, found, workspace, options)
+        name = f"{_FOLDER}/adopted.xml"
+        learning = Learning(reader, options.policy_type, target, str(workspace.profile / name), effort)
+        document, granted, warnings = learned_from(run.plugins, files, found, learning, unclear_rights(found))
+        learned = {each.rules.subject: each.rules for each in granted}
+        own = AdoptedPolicy(_FOLDER, {name: document}, learned, tuple(learned), warnings)
         found = replace(found, diagnostics=(*found.diagnostics, *own.diagnostics))
     request = _request(workspace, found, own.path, files.now, target)
     adoption = Adoption(reader, files, found, own, profile_type, request)
@@ -188,43 +190,11 @@ def _named_policy(
         request = ImportRequest(place, file, library, accept, implicit, shown)
         imported = run.plugins.policy_type(foreign.policy_type).translated(request)
         rules = {each.rules.subject: each.rules for each in imported.subjects}
-        return AdoptedPolicy(_FOLDER, {name: imported.document}, rules, tuple(rules), diagnostics=imported.diagnostics)
+        return AdoptedPolicy(_FOLDER, {name: imported.document}, rules, tuple(rules), imported.diagnostics)
     loaded = policies.at(place, str(path), library_shown=workspace.profile / _FOLDER)
     found = {each.subject: loaded.rules(each.subject) for each in keystore.enclaves}
     rules = {subject: each for subject, each in found.items() if each is not None}
     return AdoptedPolicy(policy_path(place, workspace.profile), {}, rules, tuple(loaded.subjects()))
-
-
-def _learned_policy(
-    run: Run,
-    reader: KeystoreReader,
-    files: KeystoreFiles,
-    found: FoundKeystore,
-    workspace: Workspace,
-    options: PolicyOptions,
-) -> AdoptedPolicy:
-    """Return a policy that is proven to mean what is signed.
-
-    Args:
-        run: the run.
-        reader: reads the keystore.
-        files: the files of the keystore.
-        found: what it has.
-        workspace: the new workspace.
-        options: how to write the policy.
-
-    Raises:
-        KeymintError: no policy can say what a document grants, or the proof fails.
-    """
-    name = f"{_FOLDER}/adopted.xml"
-    effort = ProofEffort(run.setting.monotonic, _STATES)
-    file = str(workspace.profile / name)
-    learning = Learning(reader, options.policy_type, Policies(run, options).distro, file, effort)
-    learned = learned_from(run.plugins, files, found, learning, unclear_rights(found))
-    rules = {each.subject: each for each in learned.subjects}
-    return AdoptedPolicy(
-        _FOLDER, {name: learned.document}, rules, tuple(rules), learned=True, diagnostics=learned.diagnostics
-    )
 
 
 def _summary(keystore: str, found: FoundKeystore, relations: Mapping[str, str]) -> Iterator[str]:
@@ -237,7 +207,11 @@ def _summary(keystore: str, found: FoundKeystore, relations: Mapping[str, str]) 
     """
     yield f"{keystore}: {quantity(len(found.enclaves), 'enclave')}, {found.form}"
     for authority in found.authorities:
-        yield _authority(authority)
+        facts, roles = authority.facts, " and ".join(authority.roles)
+        key = f"key in {facts['key_file']}" if facts["key_file"] else "key elsewhere"
+        until = f"until {str(facts['not_after'])[:10]}"
+        subject = f"{facts['subject_name']}, for {roles}, {facts['key_kind']}"
+        yield f"authority  {authority.name}  {subject}, {until}, {key}"
     for enclave in found.enclaves:
         yield _enclave(enclave, relations.get(enclave.subject, ""))
 
@@ -261,28 +235,21 @@ def _result(found: FoundKeystore, comparisons: Mapping[str, Mapping[str, Any]]) 
     }
 
 
-def _authority(authority: FoundAuthority) -> str:
-    facts = authority.facts
-    roles = " and ".join(authority.roles)
-    key = f"key in {facts['key_file']}" if facts["key_file"] else "key elsewhere"
-    until = f"until {str(facts['not_after'])[:10]}"
-    return f"authority  {authority.name}  {facts['subject_name']}, for {roles}, {facts['key_kind']}, {until}, {key}"
-
-
 def _enclave(enclave: FoundEnclave, relation: str) -> str:
     facts = enclave.facts
     certificate = facts.get("certificate")
     checks = list(_checks(facts))
-    right, wrong = ([name for name, holds in checks if holds is wanted] for wanted in (True, False))
+    right, wrong = (", ".join(name for name, holds in checks if holds is wanted) for wanted in (True, False))
+    domains = (str(first) if first == last else f"{first} to {last}" for first, last in facts["domains"] or ())
     parts = [
         facts["subject_name"] or "no certificate",
-        *([f"until {str(certificate['not_after'])[:10]}"] if certificate else []),
-        *([_domains(facts["domains"])] if facts["domains"] else []),
-        *([relation] if relation else []),
-        *([f"right: {', '.join(right)}"] if right else []),
-        *([f"WRONG: {', '.join(wrong)}"] if wrong else []),
+        f"until {str(certificate['not_after'])[:10]}" if certificate else "",
+        f"domain {', '.join(domains)}" if facts["domains"] else "",
+        relation,
+        f"right: {right}" if right else "",
+        f"WRONG: {wrong}" if wrong else "",
     ]
-    return f"enclave    {enclave.subject or facts['place']}  {'; '.join(parts)}"
+    return f"enclave    {enclave.subject or facts['place']}  {'; '.join(filter(None, parts))}"
 
 
 def _checks(facts: Mapping[str, Any]) -> Iterator[tuple[str, bool]]:
@@ -294,8 +261,3 @@ def _checks(facts: Mapping[str, Any]) -> Iterator[tuple[str, bool]]:
     yield "signatures", all(facts["signatures"].values())
     if facts["same_text"] is not None:
         yield "text", bool(facts["same_text"])
-
-
-def _domains(ranges: Sequence[Sequence[int]]) -> str:
-    texts = [str(first) if first == last else f"{first} to {last}" for first, last in ranges]
-    return f"domain {', '.join(texts)}"

@@ -4,18 +4,18 @@
 from __future__ import annotations
 
 import codecs
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from comarmor.errors import Diagnostic, Origin
+from comarmor.errors import Origin
 from comarmor.text import did_you_mean, quote
 from keymint.api import LoadedPolicy, PolicyFormat, PolicyType
-from keymint.command_line.named_files import deliver, read_input
+from keymint.command_line.named_files import deliver, differing, read_input
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions, force_option, policy_options
 from keymint.command_line.verb import FILE, PATH, Report, Run, argument, flag, option, verb
-from keymint.commands.exchange.import_policy import diagnostics_of, proofs_of, unproven
+from keymint.commands.exchange.import_policy import diagnostics_of, proofs_of
 from keymint.errors import KeymintError, usage_error
 from keymint.ir import SubjectRules
 from keymint.names import no_subject, typed_subject
@@ -50,36 +50,18 @@ def export(
     writer = _writer(run, form)
     policies = Policies(run, policy_options)
     subjects = _subjects(run, policies.load(policy), listed)
-    document, diagnostics = _made(run, writer, subjects, policies.distro, lossy=lossy)
-    keep = KeymintError(
-        "exists and differs from the exported policy",
-        where=Origin(str(output)),
-        help="name another file, or replace it with --force",
-        code="export-exists",
-    )
+    made = writer.exported(subjects, lossy=lossy)
+    diagnostics = [*made.diagnostics]
+    if writer.BUILD_TYPE:
+        proofs = proofs_of(run, writer, made.subjects, policies.distro, made.diagnostics)
+        diagnostics += diagnostics_of(proofs, writer.TOOL)
+    keep = None if force else differing(output, "exported", "name another file", "export-exists")
     result: dict[str, Any] = {
-        **deliver(run, output, document, keep=None if force else keep),
-        "policy": None if output else document.decode(),
+        **deliver(run, output, made.document, keep=keep),
+        "policy": None if output else made.document.decode(),
         "subjects": [each.subject for each in subjects],
     }
     return run.report(result, diagnostics, notes=True)
-
-
-def _made(
-    run: Run, writer: PolicyType | PolicyFormat, subjects: Sequence[SubjectRules], distro: str, *, lossy: bool
-) -> tuple[bytes, list[Diagnostic]]:
-    """Return the policy in the other language, and what is to be said about it; it is proven if that is possible.
-
-    Raises:
-        KeymintError: a rule cannot be expressed, or what the other tool makes of it permits something else.
-    """
-    made = writer.exported(subjects, lossy=lossy)
-    if not writer.BUILD_TYPE:
-        return made.document, list(made.diagnostics)
-    proofs = proofs_of(run, writer.BUILD_TYPE, made.subjects, distro)
-    if refuted := unproven(proofs, writer.TOOL):
-        raise KeymintError.of([*made.diagnostics, *refuted])
-    return made.document, [*made.diagnostics, *diagnostics_of(proofs, writer.TOOL)]
 
 
 def _writer(run: Run, form: str) -> PolicyType | PolicyFormat:

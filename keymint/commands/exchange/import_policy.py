@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin
@@ -11,22 +11,22 @@ from comarmor.text import first_few, quantity
 from comarmor.values import dataclass
 from comarmor.xml.reader import looks_like_xml, parse
 from keymint.api import (
-    Claim,
     Comparison,
     Counterexample,
     ImportedSubject,
     ImportRequest,
+    PolicyFormat,
     PolicyType,
     Proof,
     standard_claims,
 )
-from keymint.command_line.named_files import deliver, exists, read_input
+from keymint.command_line.named_files import deliver, differing, exists, read_input
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions, distro_option, force_option, library_option
 from keymint.command_line.verb import FILE, PATH, Report, Run, argument, flag, option, verb
 from keymint.errors import KeymintError
 from keymint.examine.nodes import node_notes
-from keymint.stages.proof.proof_results import ProofEffort
+from keymint.stages.proof.proof_results import ProofEffort, in_words
 from keymint.workspace.policy_loading import foreign_policy
 
 
@@ -72,17 +72,10 @@ def import_policy(
     file = output / f"{policy.name.removesuffix('.xml').removesuffix('.policy')}.xml"
     request = ImportRequest(run.setting.cwd / policy, str(file), library, accept, implicit)
     imported = importer.translated(request)
-    proofs = proofs_of(run, importer.BUILD_TYPE, imported.subjects, policies.distro)
-    if refuted := unproven(proofs, importer.TOOL):
-        raise KeymintError.of([*imported.diagnostics, *refuted])
+    proofs = proofs_of(run, importer, imported.subjects, policies.distro, imported.diagnostics)
     _refuse_other_library(run, output, request.library, imported.document)
-    keep = KeymintError(
-        "exists and differs from the imported policy",
-        where=Origin(str(file)),
-        help="name another folder with -o, or replace it with --force",
-        code="import-exists",
-    )
-    delivered = deliver(run, file, imported.document, keep=None if force else keep)
+    keep = None if force else differing(file, "imported", "name another folder with -o", "import-exists")
+    delivered = deliver(run, file, imported.document, keep=keep)
     same = sum(proof.is_same for proof in proofs)
     run.console.line(
         f"{quantity(len(proofs), 'subject')}: {same} proven to permit, for all names, what {importer.TOOL} lets it do"
@@ -113,23 +106,47 @@ def _importer(run: Run, policy: Path) -> PolicyType:
 
 
 def proofs_of(
-    run: Run, build_type_name: str, subjects: Sequence[ImportedSubject], distro: str
-) -> tuple[SubjectProof, ...]:
+    run: Run,
+    translator: PolicyType | PolicyFormat,
+    subjects: Iterable[ImportedSubject],
+    distro: str,
+    said: Iterable[Diagnostic],
+) -> list[SubjectProof]:
     """Return what is proven about subjects whose documents another tool writes.
 
+    Args:
+        run: the run.
+        translator: what translates from or into the language of that tool.
+        subjects: the subjects.
+        distro: ROS 2 distribution.
+        said: what was said about the translation, which comes first if a proof fails.
+
     Raises:
-        KeymintError: the build type compares no documents, or a rule cannot be mapped.
+        KeymintError: the build type compares no documents, a rule cannot be mapped, or documents are not proven to mean
+            the same, which was not accepted; with all such subjects.
     """
-    reader = run.plugins.build_type(build_type_name).keystores
+    reader = run.plugins.build_type(translator.BUILD_TYPE).keystores
     if reader is None:
-        raise KeymintError(f"the build type {build_type_name} compares no documents", code="import-unproven")
+        raise KeymintError(f"the build type {translator.BUILD_TYPE} compares no documents", code="import-unproven")
     effort = ProofEffort(run.setting.monotonic)
-    proofs = []
+    proofs: list[SubjectProof] = []
+    refuted: list[Diagnostic] = []
     for each in subjects:
         with effort.limit(each.rules.rules):
             comparison = reader.compare(each, distro, effort.states, effort.deadline())
-        proofs.append(SubjectProof(each.rules.subject, each.deviates, comparison))
-    return tuple(proofs)
+        proofs.append(SubjectProof(each.rules.subject, comparison))
+        claims = (*comparison.ours, *(() if each.deviates else standard_claims(comparison.theirs)))
+        if claim := next((claim for claim in claims if claim.proof is not Proof.PROVEN), None):
+            example, help_ = claim.counterexample, "simplify the policy"
+            reason = f"{claim.model}, {claim.action}: {claim.reason}"
+            if example is not None:
+                reason, help_ = _difference(example, translator.TOOL), "this is a defect of Keymint: report it"
+            subject, theirs = each.rules.subject, f"what {translator.TOOL}'s document permits"
+            message = f"{subject}: not proven to permit {theirs}: {reason}"
+            refuted.append(Diagnostic.error("import-unproven", message, None, help_, subject))
+    if refuted:
+        raise KeymintError.of([*said, *refuted])
+    return proofs
 
 
 def _refuse_other_library(run: Run, output: Path, library: Path, document: bytes) -> None:
@@ -165,12 +182,10 @@ class SubjectProof:
 
     Attributes:
         subject: the subject.
-        deviates: the other tool is known to enforce something else than its policy reads, which was accepted.
         comparison: the claims.
     """
 
     subject: str
-    deviates: bool
     comparison: Comparison
 
     @property
@@ -178,19 +193,6 @@ class SubjectProof:
         """Whether both documents permit the same for all names, as the standard reads them."""
         claims = (*standard_claims(self.comparison.theirs), *self.comparison.ours)
         return all(claim.proof is Proof.PROVEN for claim in claims)
-
-
-def unproven(proofs: Iterable[SubjectProof], tool: str) -> list[Diagnostic]:
-    """Return an error for each subject whose documents are not proven to mean the same, unless that was accepted."""
-    found = []
-    for proof in proofs:
-        claims = (*proof.comparison.ours, *(() if proof.deviates else standard_claims(proof.comparison.theirs)))
-        claim = next((each for each in claims if each.proof is not Proof.PROVEN), None)
-        if claim is not None:
-            message = f"{proof.subject}: not proven to permit what {tool}'s document permits: {_reason(claim, tool)}"
-            help_ = "this is a defect of Keymint: report it" if claim.counterexample else "simplify the policy"
-            found.append(Diagnostic.error("import-unproven", message, None, help_, proof.subject))
-    return found
 
 
 def diagnostics_of(proofs: Iterable[SubjectProof], tool: str) -> Iterator[Diagnostic]:
@@ -203,32 +205,19 @@ def diagnostics_of(proofs: Iterable[SubjectProof], tool: str) -> Iterator[Diagno
                 message = f"{proof.subject}: what is enforced changes: {_difference(claim.counterexample, tool)}"
                 where = claim.counterexample.policy.where
                 yield Diagnostic.warning("import-changes", message, where, "", proof.subject)
-        if proof.is_same:
-            yield from _vendors(proof, standard[0].model, tool)
-
-
-def _vendors(proof: SubjectProof, standard: str, tool: str) -> Iterator[Diagnostic]:
-    """Yield a note for each vendor that reads the other tool's document differently from the standard."""
-    seen = {standard}
-    for claim in proof.comparison.theirs:
-        if claim.counterexample is not None and claim.model not in seen:
-            seen.add(claim.model)
-            message = f"{proof.subject}: {claim.model} reads {tool}'s document differently from the standard"
-            difference = f"{message}: {_difference(claim.counterexample, tool)}"
-            where = claim.counterexample.policy.where
-            yield Diagnostic.note("import-vendor", difference, where, "", proof.subject)
+        if not proof.is_same:
+            continue
+        seen = {standard[0].model}  # each vendor that reads the other tool's document differently is noted once
+        for claim in proof.comparison.theirs:
+            if claim.counterexample is not None and claim.model not in seen:
+                seen.add(claim.model)
+                message = f"{proof.subject}: {claim.model} reads {tool}'s document differently from the standard"
+                difference = f"{message}: {_difference(claim.counterexample, tool)}"
+                where = claim.counterexample.policy.where
+                yield Diagnostic.note("import-vendor", difference, where, "", proof.subject)
 
 
 def _difference(example: Counterexample, tool: str) -> str:
     """Return a shortest name on which both differ, in words."""
-    permits = "permits" if example.document.allowed else "does not permit"
-    allows = "allows" if example.policy.allowed else "does not allow"
-    ros = f" ({example.meaning.permission} {example.meaning.object.name})" if example.meaning else ""
-    name = f"{example.endpoint.action} {example.endpoint.name!r}{ros}"
+    permits, name, allows = in_words(example)
     return f"{tool}'s document {permits} it to {name}, and the policy in ComArmor {allows} it"
-
-
-def _reason(claim: Claim, tool: str) -> str:
-    if claim.counterexample is not None:
-        return _difference(claim.counterexample, tool)
-    return f"{claim.model}, {claim.action}: {claim.reason}"

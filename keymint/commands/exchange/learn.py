@@ -14,8 +14,8 @@ from comarmor.errors import Diagnostic, Origin
 from comarmor.text import quantity
 from comarmor.xml.reader import looks_like_xml
 from keymint.api import GrantedRules, LearnedPolicy, LoadedPolicy, graph_json
-from keymint.api.graph import NAMES_DIFFER, Edge, Graph, differing_names
-from keymint.command_line.named_files import deliver, read_input, show_written, write_outputs
+from keymint.api.graph import NAMES_DIFFER, Graph, differing_names
+from keymint.command_line.named_files import deliver, differing, read_input, show_written, write_outputs
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions, force_option, policy_options
 from keymint.command_line.verb import PATH, Report, Run, argument, findings_if, option, verb
@@ -95,8 +95,20 @@ def learn(
         "file": str(output) if output and learned.document else None,
         "written": written,
         "policy": None if output else learned.document.decode(),
-        "missing": [_as_json(edge) for edge in learned.missing],
-        "unused": [_place(found) for found in learned.unused],
+        "missing": [
+            {
+                "subject": edge.subject,
+                "permission": edge.permission,
+                "object": edge.object.name,
+                "partitions": edge.object.partitions,
+                "domain": edge.domain,
+            }
+            for edge in learned.missing
+        ],
+        "unused": [
+            {"code": rule.code, "place": str(rule.where) if rule.where else "", "message": rule.message}
+            for rule in learned.unused
+        ],
     }
     differ = (note for pair in pairwise(records) for note in differing_names(*pair))
     diagnostics = (*learned.conflicts, *learned.unused, *_about_domains(domains, output), *learned.notes, *differ)
@@ -117,12 +129,8 @@ def _record(run: Run, path: Path) -> Graph:
 
 def _kept(output: Path | None) -> KeymintError:
     """Return the error for a file that has other content than the learned policy."""
-    return KeymintError(
-        "exists and differs from the learned policy",
-        where=Origin(str(output)),
-        help="name another file, compare it with the graph by --policy, or replace it with --force",
-        code="learn-exists",
-    )
+    other = "name another file, compare it with the graph by --policy"
+    return differing(output, "learned", other, "learn-exists")
 
 
 def _about_domains(domains: Sequence[int], output: Path | None) -> Iterator[Diagnostic]:
@@ -163,20 +171,6 @@ def _tell(run: Run, learned: LearnedPolicy, output: Path | None, written: list[s
         run.console.line("the existing policy allows the graph: nothing to write")
 
 
-def _as_json(edge: Edge) -> dict[str, Any]:
-    return {
-        "subject": edge.subject,
-        "permission": edge.permission,
-        "object": edge.object.name,
-        "partitions": edge.object.partitions,
-        "domain": edge.domain,
-    }
-
-
-def _place(rule: Diagnostic) -> dict[str, str]:
-    return {"code": rule.code, "place": str(rule.where) if rule.where else "", "message": rule.message}
-
-
 def _from_keystore(
     run: Run, keystore: Path, output: Path | None, policy_options: PolicyOptions, *, force: bool
 ) -> Report:
@@ -203,20 +197,19 @@ def _from_keystore(
     effort = ProofEffort(run.setting.monotonic)
     name = str(output or "policy.xml")
     learning = Learning(reader, policy_options.policy_type, policies.distro, name, effort)
-    learned = learned_from(run.plugins, files, found, learning, unclear_rights(found))
-    delivered = deliver(run, output, learned.document, keep=None if force else _kept(output))
+    document, granted, warnings = learned_from(run.plugins, files, found, learning, unclear_rights(found))
+    delivered = deliver(run, output, document, keep=None if force else _kept(output))
     if output is not None:
-        subjects = quantity(len(learned.granted), "subject")
+        subjects = quantity(len(granted), "subject")
         run.console.line(f"{subjects}: proven to allow, for all names, what the signed documents permit")
     result: dict[str, Any] = {
-        "domains": sorted({domain for each in learned.granted for domain in _signed_domains(each)}),
+        "domains": sorted({domain for each in granted for domain in _signed_domains(each)}),
         **delivered,
-        "policy": None if output else learned.document.decode(),
+        "policy": None if output else document.decode(),
         "missing": [],
         "unused": [],
     }
-    diagnostics = (*learned.diagnostics, *_about_signed_domains(learned.granted, output))
-    return run.report(result, diagnostics)
+    return run.report(result, (*warnings, *_about_signed_domains(granted, output)))
 
 
 def _signed_domains(granted: GrantedRules) -> Iterator[int]:

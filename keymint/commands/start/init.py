@@ -75,7 +75,7 @@ def init(
     workspace = run.workspace_at(folder)
     if workspace.exists():
         refuse_contradiction(run, workspace, profile, policy)
-        return _again(run, workspace)
+        return run.carry_out(workspace, _again)
     request = bootstrap_request(run, workspace, policy, profile)
     foreign = foreign_policy(run.plugins, [run.setting.cwd / policy]) if policy is not None else None
     if foreign is not None and foreign.imported:
@@ -89,15 +89,11 @@ def init(
     return run.carry_out(workspace, make_plan)
 
 
-def _again(run: Run, workspace: Workspace) -> Report:
-    """Create the missing authorities of an existing workspace."""
-
-    def make_plan(inputs: Inputs) -> Plan:
-        plan = plan_authorities(inputs.session())[0]
-        done = Step("init", "", Action.UNCHANGED, (), "workspace profile")
-        return Plan((done, *plan.steps), plan.state, plan.diagnostics)
-
-    return run.carry_out(workspace, make_plan)
+def _again(inputs: Inputs) -> Plan:
+    """Plan the missing authorities of an existing workspace."""
+    plan = plan_authorities(inputs.session())[0]
+    done = Step("init", "", Action.UNCHANGED, (), "workspace profile")
+    return Plan((done, *plan.steps), plan.state, plan.diagnostics)
 
 
 def bootstrap_request(run: Run, workspace: Workspace, policy: Path | None, profile: ProfileOptions) -> Bootstrap:
@@ -106,17 +102,22 @@ def bootstrap_request(run: Run, workspace: Workspace, policy: Path | None, profi
     Raises:
         KeymintError: the policy does not exist, or no build type for a transport is installed.
     """
-    if policy is not None and not (run.setting.cwd / policy).exists():
+    path, policy_type = run.setting.cwd / policy if policy else None, ""
+    if path is not None and not path.exists():
         raise KeymintError(
             "no such file or folder",
             where=Origin(str(policy)),
             help="name a ComArmor policy",
             code="policy-missing",
         )
+    if path is not None and not path.is_dir() and path.suffix != ".xml":
+        # A plugin may recognise a policy that need not be imported; the usual one has no name here.
+        foreign = foreign_policy(run.plugins, [path])
+        policy_type = foreign.policy_type if foreign and not foreign.imported else ""
     environment = run.setting.environment
     return Bootstrap(
         name=workspace.root.name or "workspace",
-        policy=policy_path(run.setting.cwd / policy, workspace.profile) if policy else "",
+        policy=policy_path(path, workspace.profile) if path else "",
         distro=profile.distro or environment.get("ROS_DISTRO") or DEFAULT_DISTRO,
         domain=profile.domain or 0,
         layout=profile.layout or "",
@@ -124,14 +125,8 @@ def bootstrap_request(run: Run, workspace: Workspace, policy: Path | None, profi
         now=run.setting.now,
         build_types=_build_types_for(run.plugins, profile.transports),
         valid_for=profile.valid_for or "",
-        policy_type=_policy_type(run, run.setting.cwd / policy) if policy else "",
+        policy_type=policy_type,
     )
-
-
-def _policy_type(run: Run, policy: Path) -> str:
-    """Return the plugin for a policy that it recognises, and that need not be imported; empty for the usual one."""
-    foreign = None if policy.is_dir() or policy.suffix == ".xml" else foreign_policy(run.plugins, [policy])
-    return foreign.policy_type if foreign and not foreign.imported else ""
 
 
 def refuse_contradiction(run: Run, workspace: Workspace, given: ProfileOptions, policy: Path | None = None) -> None:

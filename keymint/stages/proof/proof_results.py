@@ -226,8 +226,7 @@ def _refutation(subject: str, counterexample: Counterexample, models: str) -> Di
     if counterexample.difference:
         message = f"{who}: {counterexample.difference}; {by_document} [{models}]"
         return Diagnostic.error("counterexample", message, where, counterexample.help, subject)
-    may = "permits" if document.allowed else "does not permit"
-    allows = "allows" if policy.allowed else "does not allow"
+    may, _, allows = in_words(counterexample)
     name = f"{endpoint.name!r}" + "".join(f" in the partition {p!r}" for p in endpoint.partitions)
     meant = counterexample.meaning and counterexample.meaning.object
     ros = f" (the {meant.kind.replace('ros_', 'ROS ')} {meant.name})" if meant else ""
@@ -239,6 +238,14 @@ def _refutation(subject: str, counterexample: Counterexample, models: str) -> Di
     deviation = f"; docs/vendors.md, {document.deviation}" if document.deviation else ""
     help_ = f"a shortest counterexample{deviation}{f'; {counterexample.help}' if counterexample.help else ''}"
     return Diagnostic.error("counterexample", message, where, help_, subject)
+
+
+def in_words(example: Counterexample) -> tuple[str, str, str]:
+    """Return in words whether the document permits what an example names, what that is, and what the policy says."""
+    permits = "permits" if example.document.allowed else "does not permit"
+    allows = "allows" if example.policy.allowed else "does not allow"
+    meaning = f" ({example.meaning.permission} {example.meaning.object.name})" if example.meaning else ""
+    return permits, f"{example.endpoint.action} {example.endpoint.name!r}{meaning}", allows
 
 
 _RULES, _CLAIMS, _TERMS, WRITTEN = "rules", "claims", "terms", "written"

@@ -6,7 +6,7 @@ The proof of an enclave whose claims were all proven is cached until its files, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from comarmor.errors import Defects, Diagnostic
@@ -106,7 +106,9 @@ class ProofStage(PackageStage):
 
     def results(self, proven: Sequence[EnclaveProof]) -> ProofResults:
         """Put the proofs of some packages together, and add the claims across subjects."""
-        across = tuple(self._across({each.name for each in proven}))
+        names = {each.name for each in proven}
+        of_types = package_build_types.users(self._session).items()
+        across = tuple(self._across(name, of_type) for name, of_type in of_types if not names.isdisjoint(of_type))
         stamps = {each.name: each.stamp for each in (*proven, *across) if each.stamp}
         refuted = {each.name for each in (*proven, *across) if each.refuted}
         state = self._session.state
@@ -150,7 +152,8 @@ class ProofStage(PackageStage):
             digests = {file: digest(content) for file, content in files.items()}
         if contradictions := contradictions_for(session, name):
             return EnclaveProof(name, subject_of(name), diagnostics=contradictions)
-        stamp, folder = session.state.stamp(STAGE, name), self._shown(name)
+        stamp, workspace = session.state.stamp(STAGE, name), session.workspace
+        folder = workspace.shown(workspace.build / name if self._unsigned else session.enclave(name))
         known = self._inputs_digest(name, digests, stamp.build_types) if stamp else ""
         if recorded := self._recorded(name, (subject_of(name),), known, folder):
             # The record does not depend on the clock: whether documents are in force is checked at each run.
@@ -163,13 +166,8 @@ class ProofStage(PackageStage):
         proof = self._proof(package, rules, files, folder)
         return self._kept(proof, (rules,), Stamp(inputs, {}, build_types=build_types), folder)
 
-    def _across(self, names: Collection[str]) -> Iterator[EnclaveProof]:
-        """Prove the claims across subjects of the build types that some packages have, unless these are on record."""
-        for name, of_type in package_build_types.users(self._session).items():
-            if not set(names).isdisjoint(of_type):
-                yield self._prove_across(name, of_type)
-
-    def _prove_across(self, name: str, names: Sequence[str]) -> EnclaveProof:
+    def _across(self, name: str, names: Sequence[str]) -> EnclaveProof:
+        """Prove the claims across the subjects of some packages of a build type, unless these are on record."""
         session, key, folder = self._session, package_build_types.record_key(name), self._shared_folder
         build_type = session.plugins.build_type(name)
         enclaves = enclaves_of(session, name)
@@ -238,11 +236,6 @@ class ProofStage(PackageStage):
         written = self._written(subjects)
         outputs = {**stamp.outputs, proof_results.WRITTEN: written} if written else stamp.outputs
         return replace(stamp, context=self._policy_digest, outputs=outputs)
-
-    def _shown(self, name: str) -> str:
-        """Return the path of an enclave's files in messages, as the user would type it."""
-        workspace = self._session.workspace
-        return workspace.shown(workspace.build / name if self._unsigned else self._session.enclave(name))
 
     def _proof(
         self, package: api.Package, rules: SubjectRules, files: Mapping[str, bytes], folder: str

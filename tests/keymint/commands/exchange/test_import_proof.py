@@ -3,17 +3,34 @@
 
 from __future__ import annotations
 
-from keymint.api import Claim, Comparison, Proof
-from keymint.commands.exchange.import_policy import SubjectProof, diagnostics_of, unproven
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from keymint.api import Claim, Comparison, ImportedSubject, Proof
+from keymint.commands.exchange.import_policy import SubjectProof, diagnostics_of, proofs_of
+from keymint.errors import KeymintError
+from keymint.ir import SubjectRules
 
 
 def claim(model: str, proof: Proof = Proof.PROVEN) -> Claim:
     return Claim(model, "publish", (), "all names", proof, "" if proof is Proof.PROVEN else "the limit was reached")
 
 
-def proof(theirs: Proof, ours: Proof, vendor: Proof = Proof.PROVEN, *, deviates: bool = False) -> SubjectProof:
+def proof(theirs: Proof, ours: Proof, vendor: Proof = Proof.PROVEN) -> SubjectProof:
     claims = claim("standard", theirs), claim("vendor", vendor)
-    return SubjectProof("/a", deviates, Comparison(claims, (claim("standard", ours),), ()))
+    return SubjectProof("/a", Comparison(claims, (claim("standard", ours),), ()))
+
+
+def proofs(theirs: Proof, ours: Proof, *, deviates: bool = False) -> list[SubjectProof]:
+    compared = proof(theirs, ours).comparison
+    reader = SimpleNamespace(compare=lambda *_arguments: compared)
+    plugins = SimpleNamespace(build_type=lambda _name: SimpleNamespace(keystores=reader))
+    run: Any = SimpleNamespace(plugins=plugins, setting=SimpleNamespace(monotonic=lambda: 0.0))
+    tool: Any = SimpleNamespace(BUILD_TYPE="any", TOOL="Other")
+    subject = ImportedSubject(SubjectRules("/a", ()), b"", "CN=/a", deviates)
+    return proofs_of(run, tool, [subject], "jazzy", ())
 
 
 def test_both_documents_must_be_proven_by_the_standard() -> None:
@@ -25,14 +42,15 @@ def test_both_documents_must_be_proven_by_the_standard() -> None:
 
 
 def test_what_is_unknown_is_an_error_unless_it_was_accepted() -> None:
-    (found,) = unproven([proof(Proof.UNKNOWN, Proof.PROVEN)], "Other")
+    with pytest.raises(KeymintError) as refused:
+        proofs(Proof.UNKNOWN, Proof.PROVEN)
+    (found,) = refused.value.diagnostics
     assert found.code == "import-unproven"
     assert found.message.endswith("permits: standard, publish: the limit was reached")
-    assert unproven([proof(Proof.UNKNOWN, Proof.PROVEN, deviates=True)], "Other") == []
-    assert len(unproven([proof(Proof.PROVEN, Proof.UNKNOWN, deviates=True)], "Other")) == 1
+    assert len(proofs(Proof.UNKNOWN, Proof.PROVEN, deviates=True)) == 1
+    with pytest.raises(KeymintError):
+        proofs(Proof.PROVEN, Proof.UNKNOWN, deviates=True)
 
 
 def test_nothing_is_said_about_what_is_proven() -> None:
-    same = proof(Proof.PROVEN, Proof.PROVEN)
-    assert unproven([same], "Other") == []
-    assert list(diagnostics_of([same], "Other")) == []
+    assert list(diagnostics_of(proofs(Proof.PROVEN, Proof.PROVEN), "Other")) == []
