@@ -12,9 +12,8 @@ import click
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import did_you_mean, quantity
-from keymint.command_line.durations import period
 from keymint.command_line.named_files import write_outputs
-from keymint.command_line.options import packages_argument, standard_only_option, strict_option
+from keymint.command_line.options import packages_argument, period, standard_only_option, strict_option
 from keymint.command_line.verb import FILE, Report, Run, findings_if, flag, option, verb
 from keymint.errors import KeymintError, usage_error
 from keymint.examine.check import check as find

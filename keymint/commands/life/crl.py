@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from keymint.command_line import durations
+from keymint.command_line.options import validity
 from keymint.command_line.verb import Report, Run, flag, option, verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.life.revocation_lists_in_force import lists, loaded_lists
@@ -30,7 +30,7 @@ def crl(
         "Make the lost register of issued certificates again, although it cannot have all revocations."
     ),
     valid_for: timedelta | None = option(
-        type=durations.validity,
+        type=validity,
         metavar="PERIOD",
         help="With --refresh, let the lists end after this time: 30d, 4w. Nodes with an expired list do not start.",
     ),

@@ -11,8 +11,7 @@ from typing import Any
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import quantity
 from comarmor.values import dataclass
-from keymint.command_line import durations
-from keymint.command_line.options import packages_argument, prove_option
+from keymint.command_line.options import packages_argument, prove_option, threshold
 from keymint.command_line.verb import Report, Run, findings_if, flag, option, verb
 from keymint.errors import KeymintError
 from keymint.life.package_issuance import plan_issuance
@@ -47,7 +46,7 @@ def renew(
     run: Run,
     names: tuple[str, ...] = packages_argument,
     threshold: Threshold = option(
-        type=durations.threshold,
+        type=threshold,
         default="66%",
         show_default=True,
         metavar="PART",

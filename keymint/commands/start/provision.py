@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from comarmor.errors import Origin
-from keymint.command_line.accepted_packages import AcceptanceOptions, accept, acceptance_options
 from keymint.command_line.options import (
     DEFAULT_PROFILE_TYPE,
     DocumentOptions,
@@ -17,6 +16,7 @@ from keymint.command_line.options import (
 )
 from keymint.command_line.verb import PATH, Report, Run, argument, flag, verb
 from keymint.commands.start.build import build_options, policy_slips, unknown_hints
+from keymint.commands.start.create import AcceptanceOptions, accept, acceptance_options
 from keymint.commands.start.init import ProfileOptions, bootstrap_request, profile_options, refuse_contradiction
 from keymint.names import no_subject
 from keymint.stages.create import packages_to_create, plan_init, plan_policy, policy_path, refuse_unsupported

@@ -11,7 +11,7 @@ from pathlib import Path
 import click
 import pytest
 
-from keymint.command_line import durations
+from keymint.command_line import options
 from keymint.pki import certificates
 from tests.conftest import NOW, snapshot
 
@@ -32,22 +32,22 @@ DAY = CLOCK.replace(hour=0, minute=0, second=0)
     ],
 )
 def test_a_length_of_time(text: str, length: timedelta, duration: str) -> None:
-    assert durations.period(text) == length
-    assert durations.iso_validity(text) == duration
+    assert options.period(text) == length
+    assert options.iso_validity(text) == duration
 
 
 @pytest.mark.parametrize("text", ["", "12", "h", "-3d", "3m", "1.5d", "P", "PT", "P1DT", "p90d", "201y", "90 d", "٣d"])
 def test_no_length_of_time(text: str) -> None:
-    for parse in (durations.period, durations.iso_validity):
+    for parse in (options.period, options.iso_validity):
         with pytest.raises(click.BadParameter):
             parse(text)
 
 
 @pytest.mark.parametrize("text", ["0d", "0h", "P0D"])
 def test_a_validity_of_no_time(text: str) -> None:
-    assert durations.period(text) == timedelta()
+    assert options.period(text) == timedelta()
     with pytest.raises(click.BadParameter, match="shorter than an hour"):
-        durations.iso_validity(text)
+        options.iso_validity(text)
 
 
 @pytest.mark.parametrize(
