@@ -132,7 +132,7 @@ def deliver(run: Run, output: Path | None, content: bytes, keep: KeymintError | 
     return {"file": str(output), "written": written}
 
 
-def differing(path: Path | None, made: str, other: str, code: str) -> KeymintError:
+def replacement_refusal(path: Path | None, made: str, other: str, code: str) -> KeymintError:
     """Return the error for a file that has other content than the policy to write, and is to be kept.
 
     Args:

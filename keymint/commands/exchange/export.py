@@ -11,7 +11,7 @@ from typing import Any
 from comarmor.errors import Origin
 from comarmor.text import did_you_mean, quote
 from keymint.api import LoadedPolicy, PolicyFormat, PolicyType
-from keymint.command_line.named_files import deliver, differing, read_input
+from keymint.command_line.named_files import deliver, read_input, replacement_refusal
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions, force_option, policy_options
 from keymint.command_line.verb import FILE, PATH, Report, Run, argument, flag, option, verb
@@ -55,7 +55,7 @@ def export(
     if writer.BUILD_TYPE:
         proofs = proofs_of(run, writer, made.subjects, policies.distro, made.diagnostics)
         diagnostics += diagnostics_of(proofs, writer.TOOL)
-    keep = None if force else differing(output, "exported", "name another file", "export-exists")
+    keep = None if force else replacement_refusal(output, "exported", "name another file", "export-exists")
     result: dict[str, Any] = {
         **deliver(run, output, made.document, keep=keep),
         "policy": None if output else made.document.decode(),

@@ -20,7 +20,7 @@ from keymint.api import (
     Proof,
     standard_claims,
 )
-from keymint.command_line.named_files import deliver, differing, exists, read_input
+from keymint.command_line.named_files import deliver, exists, read_input, replacement_refusal
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions, distro_option, force_option, library_option
 from keymint.command_line.verb import FILE, PATH, Report, Run, argument, flag, option, verb
@@ -74,7 +74,7 @@ def import_policy(
     imported = importer.translated(request)
     proofs = proofs_of(run, importer, imported.subjects, policies.distro, imported.diagnostics)
     _refuse_other_library(run, output, request.library, imported.document)
-    keep = None if force else differing(file, "imported", "name another folder with -o", "import-exists")
+    keep = None if force else replacement_refusal(file, "imported", "name another folder with -o", "import-exists")
     delivered = deliver(run, file, imported.document, keep=keep)
     same = sum(proof.is_same for proof in proofs)
     run.console.line(

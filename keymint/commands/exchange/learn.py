@@ -15,7 +15,7 @@ from comarmor.text import quantity
 from comarmor.xml.reader import looks_like_xml
 from keymint.api import GrantedRules, LearnedPolicy, LoadedPolicy, graph_json
 from keymint.api.graph import NAMES_DIFFER, Graph, differing_names
-from keymint.command_line.named_files import deliver, differing, read_input, show_written, write_outputs
+from keymint.command_line.named_files import deliver, read_input, replacement_refusal, show_written, write_outputs
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions, force_option, policy_options
 from keymint.command_line.verb import PATH, Report, Run, argument, findings_if, option, verb
@@ -130,7 +130,7 @@ def _record(run: Run, path: Path) -> Graph:
 def _kept(output: Path | None) -> KeymintError:
     """Return the error for a file that has other content than the learned policy."""
     other = "name another file, compare it with the graph by --policy"
-    return differing(output, "learned", other, "learn-exists")
+    return replacement_refusal(output, "learned", other, "learn-exists")
 
 
 def _about_domains(domains: Sequence[int], output: Path | None) -> Iterator[Diagnostic]:
