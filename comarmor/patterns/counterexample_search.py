@@ -90,8 +90,10 @@ class CounterexampleSearch:
             positives = [pattern for pattern, _ in chosen]
             excluded = [(own, block) for own, (_, block) in zip(self._permits, chosen, strict=True)]
             yield positives, [*excluded, (self._denies, len(self._denying))]
-            for denial, block in self._denials(positives, chosen[0][1], bound):
-                yield [*positives, denial], [*excluded, (self._denies, block)]
+            for denial, block in self._relevant(chosen[0][1], bound).candidates(positives[0]):
+                self._count_state()
+                if not any(disjoint(denial, each) for each in positives):
+                    yield [*positives, denial], [*excluded, (self._denies, block)]
 
     def _choices(self, number: int, chosen: tuple[_Ranked, ...]) -> Iterator[tuple[_Ranked, ...]]:
         """Yield one allowing pattern of each list, if a word may match all of them."""
@@ -103,13 +105,6 @@ class CounterexampleSearch:
             self._count_state()
             if not any(disjoint(ranked[0], other) for other, _ in chosen):
                 yield from self._choices(number + 1, (*chosen, ranked))
-
-    def _denials(self, positives: Sequence[Glob], block: int, bound: int | None) -> Iterator[_Ranked]:
-        """Yield the denying patterns that may match a word that all of some patterns match, the first of a block."""
-        for ranked in self._relevant(block, bound).candidates(positives[0]):
-            self._count_state()
-            if not any(disjoint(ranked[0], each) for each in positives):
-                yield ranked
 
     def _relevant(self, block: int, bound: int | None) -> PatternIndex[int]:
         """Return the denying patterns that match a word which the first list does not deny before a block; cached."""
@@ -170,15 +165,14 @@ class _Opposites:
     """
 
     def __init__(self, decisions: DecisionList, *, allows: bool) -> None:
-        excluded: dict[Glob, int] = {}
+        self._excluded: dict[Glob, int] = {}
         deciding: dict[Glob, int] = {}
         for number, block in enumerate(decisions):
             for pattern in block.patterns:
                 if block.allows is allows:
-                    excluded.setdefault(pattern, number)
+                    self._excluded.setdefault(pattern, number)
                 elif literal(pattern) is None:
                     deciding.setdefault(pattern, number)
-        self._excluded = excluded
         self.deciding = PatternIndex(deciding.items())
 
     @cached_property

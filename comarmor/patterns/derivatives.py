@@ -12,7 +12,9 @@ in. Of two states with the same positive positions, the one with fewer excluded 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import field
+from functools import cache, partial
 from itertools import product
 
 from comarmor.patterns.decision_lists import Universe
@@ -51,6 +53,7 @@ class Derivatives:
         accepts: for each node, whether it matches the empty word.
         everything: the node that matches every word.
         universe: the node that matches the words of the universe.
+        step: returns the derivatives of a node by a letter.
     """
 
     def __init__(self, patterns: Iterable[Glob], universe: Universe) -> None:
@@ -63,13 +66,18 @@ class Derivatives:
         self._repeats_last: list[bool] = [False]
         """For each node, whether its last symbol is a repetition."""
         self._explicit: list[frozenset[str]] = [frozenset()]
-        self._steps: dict[tuple[int, str], tuple[int, ...]] = {}
         self._included: dict[tuple[int, int], bool] = {}
         self._nodes: dict[Glob, int] = {}
         self._distinguished: dict[_Symbol, frozenset[str]] = {}
-        self.letters = _letters(tuple(dict.fromkeys(patterns)), universe)
+        tokens = dict.fromkeys(token for pattern in dict.fromkeys(patterns) for token in pattern)
+        singles = {char for token in tokens if isinstance(token, str) for char in token}
+        if universe.fields > 1:
+            singles.add(universe.separator)
+        sets = [universe.alphabet, *(token for token in tokens if isinstance(token, Charset))]
+        self.letters = distinct_letters(singles, sets, _PREFERRED)
         self._ranks = {letter: rank for rank, letter in enumerate(self.letters)}
         self.everything = self._cons(_EVERY, END)
+        self.step = cache(partial(_derivatives, self._symbols, self._next, self.everything))
         self.universe = END
         for number in range(universe.fields):
             if number:
@@ -87,29 +95,6 @@ class Derivatives:
                 node = self._cons(_EVERY if isinstance(token, Star) else token, node)
             self._nodes[pattern] = node
         return node
-
-    def step(self, node: int, letter: str) -> tuple[int, ...]:
-        """Return the derivatives of a node by a letter."""
-        key = (node, letter)
-        derivatives = self._steps.get(key)
-        if derivatives is None:
-            derivatives = self._steps[key] = self._derive(node, letter)
-        return derivatives
-
-    def _derive(self, node: int, letter: str) -> tuple[int, ...]:
-        derivatives: list[int] = []
-        while node != END:
-            symbol, following = self._symbols[node], self._next[node]
-            if isinstance(symbol, _Repeat):
-                if letter in symbol.members:
-                    derivatives.append(node)
-                node = following
-                continue
-            if letter == symbol if isinstance(symbol, str) else letter in symbol:
-                derivatives.append(following)
-            break
-        # A node that matches every word makes the others redundant.
-        return (self.everything,) if self.everything in derivatives else tuple(derivatives)
 
     def steps(self, nodes: Iterable[int], letter: str) -> frozenset[int]:
         """Return the derivatives of all nodes by a letter."""
@@ -200,6 +185,25 @@ class Derivatives:
         return letters
 
 
+def _derivatives(
+    symbols: Sequence[_Symbol], following: Sequence[int], everything: int, node: int, letter: str
+) -> tuple[int, ...]:
+    """Return the derivatives of a node by a letter, for the symbol of each node and the node after it."""
+    derivatives: list[int] = []
+    while node != END:
+        symbol = symbols[node]
+        if isinstance(symbol, _Repeat):
+            if letter in symbol.members:
+                derivatives.append(node)
+            node = following[node]
+            continue
+        if letter == symbol if isinstance(symbol, str) else letter in symbol:
+            derivatives.append(following[node])
+        break
+    # A node that matches every word makes the others redundant.
+    return (everything,) if everything in derivatives else tuple(derivatives)
+
+
 def _is_subset(inner: str | Charset, outer: str | Charset) -> bool:
     if isinstance(outer, str):
         return inner == outer
@@ -208,49 +212,33 @@ def _is_subset(inner: str | Charset, outer: str | Charset) -> bool:
     return outer == ANY or inner.intersection(outer) == inner
 
 
-def _letters(patterns: Iterable[Glob], universe: Universe) -> tuple[str, ...]:
-    """Return one letter of each class that the patterns and the universe distinguish, legible ones first."""
-    tokens = dict.fromkeys(token for pattern in patterns for token in pattern)
-    singles = {char for token in tokens if isinstance(token, str) for char in token}
-    if universe.fields > 1:
-        singles.add(universe.separator)
-    sets = [universe.alphabet, *(token for token in tokens if isinstance(token, Charset))]
-    return distinct_letters(singles, sets, _PREFERRED)
-
-
 _Nodes = tuple[int, ...]
 _State = tuple[_Nodes, frozenset[int]]
 
 
+@dataclass(slots=True, eq=False)
 class CubeSearch:
     """Searches one cube.
 
-    Args:
+    Attributes:
         derivatives: derivatives of the patterns.
         positives: patterns that must match.
         excluded: patterns that must not match.
         count_state: called for every state; raises :class:`comarmor.patterns.decision_lists.BudgetError`.
     """
 
-    def __init__(
-        self,
-        derivatives: Derivatives,
-        positives: Iterable[Glob],
-        excluded: Iterable[Glob],
-        count_state: Callable[[], None],
-    ) -> None:
-        self._derivatives = derivatives
-        self._count_state = count_state
-        self._start: _State = (
-            (derivatives.universe, *(derivatives.node(pattern) for pattern in dict.fromkeys(positives))),
-            frozenset(derivatives.node(pattern) for pattern in excluded),
-        )
-        self._seen: dict[_Nodes, list[frozenset[int]]] = {}
+    derivatives: Derivatives
+    positives: Iterable[Glob]
+    excluded: Iterable[Glob]
+    count_state: Callable[[], None]
+    _seen: dict[_Nodes, list[frozenset[int]]] = field(init=False, default_factory=dict)
 
     def shortest(self, limit: int | None) -> str | None:
         """Return the shortest word of the cube that is shorter than a limit, or None."""
-        accepts = self._derivatives.accepts
-        level: list[tuple[_State, str]] = [(self._start, "")] if self._is_new(self._start) else []
+        accepts, node_of = self.derivatives.accepts, self.derivatives.node
+        matching = (self.derivatives.universe, *map(node_of, dict.fromkeys(self.positives)))
+        start: _State = (matching, frozenset(map(node_of, self.excluded)))
+        level = [(start, "")] if self._is_new(start) else []
         length = 0
         while level and (limit is None or length < limit):
             for (positives, excluded), word in level:
@@ -261,7 +249,7 @@ class CubeSearch:
         return None
 
     def _successors(self, level: Iterable[tuple[_State, str]]) -> Iterator[tuple[_State, str]]:
-        derivatives = self._derivatives
+        derivatives = self.derivatives
         for (positives, excluded), word in level:
             for letter in derivatives.letters_to_try((*positives, *excluded)):
                 spend(1 + len(positives) + len(excluded) // 2)
@@ -277,9 +265,9 @@ class CubeSearch:
 
     def _is_new(self, state: _State) -> bool:
         """Return whether a state may accept a word that no earlier state accepts."""
-        self._count_state()
+        self.count_state()
         positives, excluded = state
-        includes = self._derivatives.includes
+        includes = self.derivatives.includes
         spend(len(positives) * len(excluded) // 4)
         if any(includes(outer, node) for node in positives for outer in excluded):
             return False

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache, lru_cache
-from itertools import product
+from itertools import chain, product
 from math import prod
 
 from comarmor.patterns.tokens import (
@@ -110,6 +110,13 @@ def filled_text(glob: Glob, star: str, choose: Callable[[Charset], str]) -> str:
     )
 
 
+def sort_key(glob: Glob) -> str:
+    """Return a text that sorts patterns the same way on every machine; NUL marks tokens that are not literal."""
+    if (text := literal(glob)) is not None:
+        return text
+    return filled_text(glob, "\0*", lambda token: "\0?" if token == ANY else f"\0{token.ranges}")
+
+
 def surround(head: str, glob: Glob, tail: str) -> Glob:
     """Return the pattern of the names ``head + name + tail``."""
     text = literal(glob)
@@ -122,13 +129,7 @@ def surround(head: str, glob: Glob, tail: str) -> Glob:
 @cache
 def units(glob: Glob) -> tuple[Token, ...]:
     """Return a pattern with its literal text split into single characters."""
-    out: list[Token] = []
-    for token in glob:
-        if isinstance(token, str):
-            out.extend(token)
-        else:
-            out.append(token)
-    return tuple(out)
+    return tuple(chain.from_iterable(token if isinstance(token, str) else (token,) for token in glob))
 
 
 def left_quotient(glob: Glob, start: str) -> tuple[Glob, ...]:

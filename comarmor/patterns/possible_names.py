@@ -7,6 +7,7 @@ See :mod:`comarmor.rules` for the form of these names.
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from functools import lru_cache
 
 from comarmor.patterns.glob import Glob, parse
@@ -70,14 +71,8 @@ def advice(expression: str) -> str:
         expression.rstrip("/"),
         expression.replace("-", "_"),
     ):
-        if candidate != expression and _can_match(candidate):
-            every = ": every ROS name begins with '/'" if candidate == f"/{expression}" else ""
-            return f"write {candidate!r}{every}"
+        with suppress(PatternError):
+            if candidate != expression and matches_ros_name(parse(candidate)):
+                every = ": every ROS name begins with '/'" if candidate == f"/{expression}" else ""
+                return f"write {candidate!r}{every}"
     return "segments are letters, digits and '_', do not begin with a digit, and none is empty"
-
-
-def _can_match(expression: str) -> bool:
-    try:
-        return matches_ros_name(parse(expression))
-    except PatternError:
-        return False

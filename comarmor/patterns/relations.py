@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from comarmor.patterns.glob import EVERYTHING, Glob, is_empty, literal, matcher, normalise, prefix, suffix, units
+from comarmor.patterns.glob import Glob, is_empty, literal, matcher, normalise, prefix, sort_key, suffix, units
 from comarmor.patterns.steps import StepLimitError, spend, step_counting_cache, step_limit
-from comarmor.patterns.tokens import ANY, STAR, Charset, Star, Token
+from comarmor.patterns.tokens import STAR, Charset, Star, Token
 
 MAX_STATES = 2_000
 """Most states that a test of inclusion visits."""
@@ -59,14 +59,9 @@ def all_disjoint(lefts: Iterable[Glob], rights: Iterable[Glob]) -> bool:
 
 def _split(globs: Iterable[Glob]) -> tuple[set[str], list[Glob]]:
     """Return the names of the literal patterns, and the other patterns."""
-    names: set[str] = set()
-    wild: list[Glob] = []
-    for glob in globs:
-        if (text := literal(glob)) is None:
-            wild.append(glob)
-        else:
-            names.add(text)
-    return names, wild
+    texts = {glob: literal(glob) for glob in globs}
+    names = {text for text in texts.values() if text is not None}
+    return names, [glob for glob, text in texts.items() if text is None]
 
 
 @step_counting_cache(1 << 14)
@@ -140,13 +135,13 @@ def _covers(outer: Glob, inner: Glob) -> bool | None:
     text = literal(inner)
     if text is not None:
         return matcher(outer)(text)
-    if outer == EVERYTHING or is_empty(inner):
+    if is_empty(inner):
         return True
     # After its literal prefix (or before its suffix) a normalised pattern matches at least two different characters.
     if not (prefix(inner).startswith(prefix(outer)) and suffix(inner).endswith(suffix(outer))):
         return False
     match outer:
-        case (str(), Star()) | (Star(), str()):
+        case (Star(),) | (str(), Star()) | (Star(), str()):
             return True
     return literal(outer) is None and _union_covers((outer,), inner)
 
@@ -204,15 +199,13 @@ def _intersection(left: Glob, right: Glob, limit: int) -> tuple[Glob, ...] | Non
     with step_limit(MAX_INTERSECTION_STEPS) as counter:
         try:
             return _pieces(left, right, limit)
-        except TooComplexError:
-            return None
         except StepLimitError:
             if counter.reported == MAX_INTERSECTION_STEPS:
                 return None
             raise
 
 
-def _pieces(left: Glob, right: Glob, limit: int) -> tuple[Glob, ...]:
+def _pieces(left: Glob, right: Glob, limit: int) -> tuple[Glob, ...] | None:
     if disjoint(left, right):
         return ()
     if covers(left, right):
@@ -231,7 +224,7 @@ def _pieces(left: Glob, right: Glob, limit: int) -> tuple[Glob, ...]:
                 patterns.update(normalise((*read, *rest)) for rest in following)
             rests[i, j] = patterns if len(patterns) <= limit else set(maximal(patterns))
             if len(rests[i, j]) > limit:
-                raise TooComplexError
+                return None
     return tuple(maximal(rests[0, 0]))
 
 
@@ -245,19 +238,3 @@ def maximal(globs: Iterable[Glob]) -> list[Glob]:
         if not is_empty(glob) and not any(covers(other, glob) for other in wider):
             kept[head] = [*(other for other in kept.get(head, ()) if not covers(glob, other)), glob]
     return sorted((glob for bucket in kept.values() for glob in bucket), key=sort_key)
-
-
-def sort_key(glob: Glob) -> str:
-    """Return a text that sorts patterns the same way on every machine; NUL marks tokens that are not literal."""
-    if (text := literal(glob)) is not None:
-        return text
-    return "".join(
-        token
-        if isinstance(token, str)
-        else "\0*"
-        if isinstance(token, Star)
-        else "\0?"
-        if token == ANY
-        else f"\0{token.ranges}"
-        for token in glob
-    )

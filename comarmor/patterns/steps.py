@@ -11,7 +11,8 @@ count of a search does not depend on earlier ones. Caches above it, as that of c
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import lru_cache, wraps
 from math import inf
@@ -49,18 +50,6 @@ class StepCounter:
     reported: int = 0
     spent: int = 0
 
-    @property
-    def remaining(self) -> float:
-        """The steps that remain."""
-        return max(0, self.allowed - self.spent)
-
-    def nested(self, steps: int | None) -> StepCounter:
-        """Return a counter for a part of the work, limited to these steps or to those that remain here."""
-        remaining = self.remaining
-        if steps is not None and steps < remaining:
-            return StepCounter(steps, steps)
-        return StepCounter(remaining, self.reported)
-
 
 _current: ContextVar[StepCounter] = ContextVar("_current", default=StepCounter())  # noqa: B039 - only counts
 
@@ -77,27 +66,25 @@ def spend(steps: int = 1) -> None:
         raise StepLimitError(counter.reported)
 
 
-class step_limit:  # noqa: N801 - used like a function
-    """Limits the steps of a block; they count towards an outer limit as well.
+@contextmanager
+def step_limit(steps: int | None) -> Iterator[StepCounter]:
+    """Limit the steps of a block; they count towards an outer limit as well.
 
     Args:
-        steps: the limit; None only counts.
+        steps: the limit, if fewer than these do not remain of an outer one; None only counts.
     """
-
-    __slots__ = ("_counter", "_outer", "_steps", "_token")
-
-    def __init__(self, steps: int | None) -> None:
-        self._steps = steps
-
-    def __enter__(self) -> StepCounter:
-        self._outer = _current.get()
-        self._counter = self._outer.nested(self._steps)
-        self._token = _current.set(self._counter)
-        return self._counter
-
-    def __exit__(self, *_: object) -> None:
-        _current.reset(self._token)
-        self._outer.spent += self._counter.spent
+    outer = _current.get()
+    remaining = max(0, outer.allowed - outer.spent)
+    if steps is None or steps >= remaining:
+        counter = StepCounter(remaining, outer.reported)
+    else:
+        counter = StepCounter(steps, steps)
+    token = _current.set(counter)
+    try:
+        yield counter
+    finally:
+        _current.reset(token)
+        outer.spent += counter.spent
 
 
 def step_counting_cache(maxsize: int) -> Callable[[Callable[_P, _T]], Callable[_P, _T]]:
@@ -110,16 +97,10 @@ def step_counting_cache(maxsize: int) -> Callable[[Callable[_P, _T]], Callable[_
     def decorate(function: Callable[_P, _T]) -> Callable[_P, _T]:
         @lru_cache(maxsize)
         def compute(*args: _P.args, **kwargs: _P.kwargs) -> tuple[_T, int]:
-            outer = _current.get()
-            counter = outer.nested(None)
-            token = _current.set(counter)
-            try:
-                return function(*args, **kwargs), 1 + counter.spent
-            except Exception:
-                outer.spent += counter.spent
-                raise
-            finally:
-                _current.reset(token)
+            with step_limit(None) as counter:
+                result = function(*args, **kwargs)
+            spend(-counter.spent)  # those of a result are counted below, at every call; those of an error were now
+            return result, 1 + counter.spent
 
         @wraps(function)
         def wrapper(*args: _P.args, **kwargs: _P.kwargs) -> _T:

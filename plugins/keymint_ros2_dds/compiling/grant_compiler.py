@@ -10,8 +10,8 @@ from dataclasses import field, replace
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns.expression import exact
-from comarmor.patterns.glob import Glob
-from comarmor.patterns.relations import disjoint, sort_key
+from comarmor.patterns.glob import Glob, sort_key
+from comarmor.patterns.relations import disjoint
 from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.rules import Effect
 from comarmor.values import dataclass

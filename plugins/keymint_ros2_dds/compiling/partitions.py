@@ -16,16 +16,8 @@ from functools import lru_cache
 
 from comarmor.patterns import glob as globs
 from comarmor.patterns.expression import exact
-from comarmor.patterns.glob import EVERYTHING, Glob, literal
-from comarmor.patterns.relations import (
-    TooComplexError,
-    covers,
-    disjoint,
-    exactly_covers,
-    intersection,
-    maximal,
-    sort_key,
-)
+from comarmor.patterns.glob import EVERYTHING, Glob, literal, sort_key
+from comarmor.patterns.relations import TooComplexError, covers, disjoint, exactly_covers, intersection, maximal
 from comarmor.patterns.tokens import STAR, Star
 from keymint_ros2_dds.lowering.lowered_rules import DEFAULT, EVERY, Partitions
 

@@ -23,8 +23,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-from comarmor.patterns.glob import Glob, literal
-from comarmor.patterns.relations import TooComplexError, all_disjoint, disjoint, intersection, sort_key, union_covers
+from comarmor.patterns.glob import Glob, literal, sort_key
+from comarmor.patterns.relations import TooComplexError, all_disjoint, disjoint, intersection, union_covers
 from comarmor.rules import Effect
 from comarmor.values import dataclass
 from keymint.ir import Rule
