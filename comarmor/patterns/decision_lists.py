@@ -9,7 +9,7 @@ from dataclasses import field
 from functools import lru_cache
 
 from comarmor.patterns.glob import EVERYTHING, Glob
-from comarmor.patterns.steps import spend
+from comarmor.patterns.steps import StepLimitError, spend, step_limit
 from comarmor.patterns.tokens import ANY, Charset
 from comarmor.values import dataclass
 
@@ -133,6 +133,25 @@ class SearchBudget:
     def steps(self) -> int:
         """Step limit of the question."""
         return FAST_PATH_STEPS + self.states * self.steps_per_state
+
+    def answer(self, search: Callable[[], str | None], sides: Callable[[str], tuple[bool, bool]]) -> ProofResult:
+        """Answer a question within the step limit of the budget, or an outer one.
+
+        Args:
+            search: returns a shortest word on which the sides differ, or None.
+            sides: decides a word on both sides, by definition: counterexamples are checked with it.
+        """
+        try:
+            with step_limit(self.steps):
+                word = search()
+        except (BudgetError, StepLimitError) as error:
+            return Unknown(str(error))
+        if word is None:
+            return Equal()
+        left, right = sides(word)
+        if left is right:
+            raise AssertionError(f"the word {word!r} is no counterexample")
+        return Witness(word, left)
 
     def state_counter(self) -> Callable[[], None]:
         """Return a function to call for every state; it raises :class:`BudgetError` when the budget is spent."""

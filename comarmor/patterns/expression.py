@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from functools import lru_cache
 
 from comarmor.patterns.glob import Glob, Matcher, matcher, normalise
-from comarmor.patterns.tokens import ANY, COMARMOR, MAX_CODE, SPECIAL, Bracket, Charset, Star, Token, tokenize
+from comarmor.patterns.tokens import ANY, COMARMOR, SPECIAL, Bracket, Star, Token, tokenize
 from comarmor.rules import Effect, Rule, suffixes
 
 
@@ -99,21 +99,17 @@ def _exact(token: Token, unescaped: str) -> str:
         return "?"
     if not token.ranges:
         return "[b-a]"
-    negated = token.ranges[-1][1] == MAX_CODE
-    members = token.complement() if negated else token
-    return f"[{'!' * negated}{_ranges(members, unescaped)}]"
 
-
-def _ranges(members: Charset, unescaped: str) -> str:
     def end(code: int) -> str:
         char = chr(code)
         return char if char.isalnum() or (char in unescaped and char != "-") else f"\\{char}"
 
-    parts = [end(low) if low == high else f"{end(low)}-{end(high)}" for low, high in members.ranges]
+    negated, ranges = token.bracket_ranges()
+    parts = [end(low) if low == high else f"{end(low)}-{end(high)}" for low, high in ranges]
     if "-" in unescaped and r"\-" in parts:
         parts.remove(r"\-")
         parts.append("-")  # the last member of a set needs no escape
-    return "".join(parts)
+    return f"[{'!' * negated}{''.join(parts)}]"
 
 
 def canonical(tokens: Iterable[Token | Bracket]) -> str:

@@ -14,19 +14,7 @@ from functools import cache, lru_cache
 from itertools import chain, product
 from math import prod
 
-from comarmor.patterns.tokens import (
-    ANY,
-    MAX_CODE,
-    POSIX,
-    SPECIAL,
-    STAR,
-    Bracket,
-    Charset,
-    Dialect,
-    Star,
-    Token,
-    tokenize,
-)
+from comarmor.patterns.tokens import ANY, POSIX, SPECIAL, STAR, Bracket, Charset, Dialect, Star, Token, tokenize
 
 Glob = tuple[Token, ...]
 EVERYTHING: Glob = (STAR,)
@@ -227,9 +215,7 @@ def regex(glob: Glob) -> str:
         elif token == ANY:
             steps[-1] += "."
         else:
-            # A set that extends to the last code point takes long to compile; its complement does not.
-            negated = token.ranges[-1][1] == MAX_CODE
-            ranges = (token.complement() if negated else token).ranges
+            negated, ranges = token.bracket_ranges()
             members = "".join(rf"\U{low:08x}-\U{high:08x}" for low, high in ranges)
             steps[-1] += f"[{'^' * negated}{members}]"
     if len(steps) == 1:

@@ -19,21 +19,11 @@ from itertools import chain
 
 from comarmor.patterns import evaluate
 from comarmor.patterns.counterexample_search import CounterexampleSearch
-from comarmor.patterns.decision_lists import (
-    EVERY_WORD,
-    BudgetError,
-    DecisionList,
-    Equal,
-    ProofResult,
-    SearchBudget,
-    Universe,
-    Unknown,
-    Witness,
-)
+from comarmor.patterns.decision_lists import EVERY_WORD, BudgetError, DecisionList, ProofResult, SearchBudget, Universe
 from comarmor.patterns.derivatives import Derivatives
-from comarmor.patterns.evaluate import Evaluator, shortest
+from comarmor.patterns.evaluate import Evaluator, permits, shortest
 from comarmor.patterns.glob import Glob, literal
-from comarmor.patterns.steps import StepLimitError, spend, step_limit
+from comarmor.patterns.steps import spend
 from comarmor.values import dataclass
 
 FIRST_STATES = 5_000
@@ -59,8 +49,12 @@ def difference(
     Returns:
         :class:`Equal`, a shortest :class:`Witness` on which they differ, or :class:`Unknown` if the budget was spent.
     """
-    budget = budget or SearchBudget()
-    return _within(budget, lambda: _difference(a, b, universe, budget))
+    limits = budget or SearchBudget()
+
+    def search() -> str | None:
+        return None if evaluate.equal(a, b, universe) else _shortest_difference(a, b, universe, limits)
+
+    return limits.answer(search, lambda word: (permits(a, word), all(permits(each, word) for each in b)))
 
 
 def escapes(
@@ -74,29 +68,18 @@ def escapes(
     Returns:
         :class:`Equal` if so; else a shortest :class:`Witness` that they permit and it denies, or :class:`Unknown`.
     """
-    budget = budget or SearchBudget()
-    return _within(budget, lambda: _escape(permitting, denying, universe, budget))
+    limits = budget or SearchBudget()
 
+    def search() -> str | None:
+        if len(permitting) == 1 and evaluate.implies(permitting[0], denying, universe):
+            return None
+        derivatives = cache(lambda: Derivatives(_patterns((*permitting, denying)), universe))
+        return CounterexampleSearch(permitting, denying, universe, derivatives, limits.state_counter()).shortest()
 
-def _within(budget: SearchBudget, answer: Callable[[], ProofResult]) -> ProofResult:
-    """Answer a question within the step limit of its budget, or an outer one."""
-    try:
-        with step_limit(budget.steps):
-            return answer()
-    except (BudgetError, StepLimitError) as error:
-        return Unknown(str(error))
+    def is_denied(word: str) -> bool:
+        return all(permits(each, word) for each in permitting) and not permits(denying, word)
 
-
-def _difference(a: DecisionList, b: Sequence[DecisionList], universe: Universe, budget: SearchBudget) -> ProofResult:
-    if evaluate.equal(a, b, universe):
-        return Equal()
-    word = _shortest_difference(a, b, universe, budget)
-    if word is None:
-        return Equal()
-    left = evaluate.permits(a, word)
-    if left is all(evaluate.permits(each, word) for each in b):
-        raise AssertionError(f"the lists do not differ on {word!r}")
-    return Witness(word, left)
+    return limits.answer(search, lambda word: (True, not is_denied(word)))
 
 
 def _shortest_difference(
@@ -142,24 +125,9 @@ def _search_cubes(
         word = search((a,), each, best)
         best = best if word is None else word
     word = search(b[:1], a, best)
-    if word is not None and not all(evaluate.permits(each, word) for each in b[1:]):
+    if word is not None and not all(permits(each, word) for each in b[1:]):
         word = search(b, a, best)
     return best if word is None else word
-
-
-def _escape(
-    permitting: Sequence[DecisionList], denying: DecisionList, universe: Universe, budget: SearchBudget
-) -> ProofResult:
-    if len(permitting) == 1 and evaluate.implies(permitting[0], denying, universe):
-        return Equal()
-    derivatives = cache(lambda: Derivatives(_patterns((*permitting, denying)), universe))
-    search = CounterexampleSearch(permitting, denying, universe, derivatives, budget.state_counter())
-    word = search.shortest()
-    if word is None:
-        return Equal()
-    if not all(evaluate.permits(each, word) for each in permitting) or evaluate.permits(denying, word):
-        raise AssertionError(f"the word {word!r} is no counterexample")
-    return Witness(word, left=True)
 
 
 def _patterns(lists: Sequence[DecisionList]) -> Iterator[Glob]:

@@ -106,6 +106,14 @@ class Charset:
         gaps = ((edges[i] + 1, edges[i + 1] - 1) for i in range(0, len(edges), 2))
         return Charset(tuple((low, high) for low, high in gaps if low <= high))
 
+    def bracket_ranges(self) -> tuple[bool, tuple[tuple[int, int], ...]]:
+        """Return whether a bracket expression of the set, which is not empty, is best negated, and its ranges.
+
+        A set that extends to the last code point takes long to compile; its complement does not.
+        """
+        is_negated = self.ranges[-1][1] == MAX_CODE
+        return is_negated, (self.complement() if is_negated else self).ranges
+
     def intersection(self, other: Charset) -> Charset:
         """Return the set of the characters that both have."""
         both = ((max(low, low2), min(high, high2)) for low, high in self.ranges for low2, high2 in other.ranges)
