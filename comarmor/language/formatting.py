@@ -21,7 +21,7 @@ from comarmor.rules import PERMISSIONS
 from comarmor.xml import schema
 from comarmor.xml.layout import DocumentLayout, laid_out, markup, nodes
 from comarmor.xml.reader import parse
-from comarmor.xml.sandboxed_paths import path_text, read_failure
+from comarmor.xml.sandboxed_paths import file_errors, path_text
 
 
 def render(policy: Policy) -> str:
@@ -140,9 +140,8 @@ def written_files(folder: Path) -> tuple[Path, ...]:
     """
 
     def refuse(error: OSError) -> None:
-        raise ComArmorError(
-            read_failure(error, "the folder"), where=Origin(path_text(str(error.filename))), code="unreadable"
-        ) from None
+        with file_errors("the folder", Origin(path_text(str(error.filename)))):
+            raise error
 
     found: list[Path] = []
     for inside, folders, names in os.walk(folder, onerror=refuse):

@@ -19,7 +19,7 @@ from comarmor.xml import schema
 from comarmor.xml.package_folders import PackageFolders
 from comarmor.xml.reader import LIMITS, XINCLUDE, line
 from comarmor.xml.reader import parse as parse_xml
-from comarmor.xml.sandboxed_paths import read_failure
+from comarmor.xml.sandboxed_paths import file_errors
 
 
 def load(
@@ -128,11 +128,8 @@ def _files(path: Path) -> list[Path]:
 
 def _read(file: Path) -> Iterator[Expectation]:
     name = str(file)
-    try:
-        with file.open("rb") as stream:
-            content = stream.read(LIMITS.file_bytes + 1)
-    except OSError as error:
-        raise ComArmorError(read_failure(error, "the file"), where=Origin(name), code="unreadable") from None
+    with file_errors("the file", Origin(name)), file.open("rb") as stream:
+        content = stream.read(LIMITS.file_bytes + 1)
     root = parse_xml(content, name)
     schema.validate(root, locate("comarmor", "schemas") / "tests.xsd", name)
     defects: list[Diagnostic] = []

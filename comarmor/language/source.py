@@ -24,18 +24,7 @@ from comarmor.text import quote
 from comarmor.values import dataclass
 from comarmor.xml.package_folders import PackageFolders, ShippedFile
 from comarmor.xml.reader import LIMITS, XINCLUDE, Limits, parse, place
-from comarmor.xml.sandboxed_paths import (
-    SandboxedFolder,
-    checked_path,
-    exists,
-    package_path,
-    path_of,
-    path_text,
-    read_failure,
-    read_in,
-    resolve,
-    similar_file,
-)
+from comarmor.xml.sandboxed_paths import SandboxedFolder, checked_path, file_errors, package_path, path_of, path_text
 
 INCLUDE = f"{{{XINCLUDE}}}include"
 TESTS = ".test.xml"
@@ -66,16 +55,14 @@ def load_tree(
         ComArmorError: something is missing, outside, too large or not well-formed, with ``file:line``.
     """
     shown = path_text(str(path))
-    try:
+    with file_errors("the policy", Origin(shown), "policy-missing"):
+        real = path.resolve(strict=True)
         if path.is_dir():
-            folder = SandboxedFolder(path.resolve(strict=True), str(path))
+            folder = SandboxedFolder(real, str(path))
             roots = _roots(path)
         else:
-            real = path.resolve(strict=True)
             folder = SandboxedFolder(real.parent, str(real.parent if path.is_symlink() else path.parent))
             roots = [real.name]
-    except (OSError, RuntimeError, ValueError) as error:
-        raise ComArmorError(read_failure(error, "the policy"), where=Origin(shown), code="policy-missing") from None
     if not roots:
         raise ComArmorError(
             "the policy directory has no *.xml file",
@@ -205,7 +192,7 @@ class _PolicyReader:
             where: place for the error if it cannot be read.
             chain: the places that include it, innermost first.
         """
-        real = resolve(folder, relative, where)
+        real = folder.resolve(relative, where)
         if real in self.files:
             self.seen[folder.place(relative)] = self.files[real]
         if real in self.open:
@@ -290,10 +277,10 @@ class _PolicyReader:
             path = posixpath.normpath(path_of(href, where))
             target = posixpath.normpath(posixpath.join(key[1], path))
             inner, target = folder, checked_path(target, where) if folder.package else target
-        is_there = exists(inner, target, where)
+        is_there = inner.has(target, where)
         if not is_there:
             self.seen[inner.place(target)] = b""
-            if not inner.package and self.library is not None and exists(self.library, path, where):
+            if not inner.package and self.library is not None and self.library.has(path, where):
                 inner, target, is_there = self.library, path, True
         if is_there:
             document = self.document(inner, target, where, chain)
@@ -324,11 +311,11 @@ class _PolicyReader:
     def missing(self, folder: SandboxedFolder, target: str, href: str, where: Origin) -> ComArmorError:
         """Return the error for a missing included file, with the searched paths and a similar file name."""
         first = path_text(str(folder.place(target))) if folder.package else folder.name(target)
-        places, near = [first], similar_file(folder, target, where.file) or self.form.advice
+        places, near = [first], folder.similar_file(target, where.file) or self.form.advice
         if self.library is not None and not folder.package:
             from_root = posixpath.normpath(path_of(href, where))
             places.append(self.library.name(from_root))
-            near = near or similar_file(self.library, from_root)
+            near = near or self.library.similar_file(from_root)
         looked = f"looked for {' and '.join(quote(each, 200) for each in dict.fromkeys(places))}"
         return ComArmorError(
             f"the included file {quote(href, 200)} does not exist",
@@ -339,7 +326,7 @@ class _PolicyReader:
 
     def read(self, folder: SandboxedFolder, real: Path, where: Origin) -> bytes:
         """Return the bytes of a file, and record their digest."""
-        content = read_in(folder, real, self.limits.file_bytes + 1, where)
+        content = folder.read(real, self.limits.file_bytes + 1, where)
         self.total += len(content)
         if self.total > self.limits.total_bytes:
             raise _limit(f"the policy has more than the {self.limits.total_bytes:,} bytes allowed", where)

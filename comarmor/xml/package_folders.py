@@ -14,14 +14,7 @@ from pathlib import Path
 from comarmor.errors import ComArmorError, Origin
 from comarmor.text import did_you_mean, quantity, quote
 from comarmor.values import dataclass
-from comarmor.xml.sandboxed_paths import (
-    FOLLOW_LINKS,
-    PACKAGE,
-    SandboxedFolder,
-    is_package_name,
-    path_text,
-    read_failure,
-)
+from comarmor.xml.sandboxed_paths import FOLLOW_LINKS, PACKAGE, SandboxedFolder, file_errors, is_package_name, path_text
 
 SEARCH_PATH = "AMENT_PREFIX_PATH"
 """The environment variable that lists the prefixes, the first one first (ament_index, of ROS 2)."""
@@ -130,26 +123,26 @@ class InstalledPackages:
         prefix = self._prefix(package, where)
         share = Path(prefix, "share", package)
         place = share / _KEYMINT / _PROFILES
-        try:
+        shown = f"'{path_text(str(place))}'"
+        with file_errors(shown, where):
             expected, real = Path(prefix).resolve() / "share" / package, place.resolve()
             is_folder = real.is_dir()
-        except (OSError, RuntimeError) as error:
-            raise ComArmorError(
-                read_failure(error, f"'{path_text(str(place))}'"), where=where, code="unreadable"
-            ) from None
         follows = self.trusted is None or package in self.trusted
         if not follows and not real.is_relative_to(expected):
             raise ComArmorError(
-                f"a symbolic link leads out of the package {quote(package)}, at or above '{path_text(str(place))}'",
+                f"a symbolic link leads out of the package {quote(package)}, at or above {shown}",
                 where=where,
                 help=FOLLOW_LINKS,
                 code="include-outside",
             )
         if not is_folder:
+            later = self.prefixes[self.prefixes.index(prefix) + 1 :]
+            other = next((each for each in later if package in _names(each)), "")
+            hides = f"'{path_text(other)}' has some, but '{path_text(prefix)}' comes first in {SEARCH_PATH}"
             raise ComArmorError(
-                f"the package {quote(package)} ships no profiles: there is no folder '{path_text(str(place))}'",
+                f"the package {quote(package)} ships no profiles: there is no folder {shown}",
                 where=where,
-                help=self._instead(package, prefix),
+                help=hides if other else "'keymint plugins' lists the packages that do",
                 code="package-without-profiles",
             )
         return SandboxedFolder(real, f"{PACKAGE}{package}", package, place, trusts_links=follows)
@@ -185,30 +178,19 @@ class InstalledPackages:
                 if _has(prefix, package):
                     return prefix
             except OSError as error:
-                place = f"'{path_text(str(error.filename))}'"
-                raise ComArmorError(read_failure(error, place), where=where, code="unreadable") from None
+                with file_errors(f"'{path_text(str(error.filename))}'", where):
+                    raise
+        known = sorted({name for prefix in self.prefixes for name in _names(prefix)})
+        prefixes = quantity(len(self.prefixes), "prefix")
+        advice = f"source the setup file of the workspace that has it; {SEARCH_PATH} lists {prefixes}"
+        if not self.prefixes:
+            advice = f"{SEARCH_PATH} is not set: source the setup file of your ROS 2 workspace"
         raise ComArmorError(
             f"the package {quote(package)} is not installed",
             where=where,
-            help=self._near(package),
+            help=did_you_mean(package, known, advice),
             code="package-unknown",
         )
-
-    def _near(self, package: str) -> str:
-        if not self.prefixes:
-            return f"{SEARCH_PATH} is not set: source the setup file of your ROS 2 workspace"
-        known = sorted({name for prefix in self.prefixes for name in _names(prefix)})
-        prefixes = quantity(len(self.prefixes), "prefix")
-        source = f"source the setup file of the workspace that has it; {SEARCH_PATH} lists {prefixes}"
-        return did_you_mean(package, known, source)
-
-    def _instead(self, package: str, prefix: str) -> str:
-        """Return a hint at a prefix that the first one hides."""
-        later = self.prefixes[self.prefixes.index(prefix) + 1 :]
-        for other in later:
-            if _is_absolute(other) and package in _names(other):
-                return f"'{path_text(other)}' has some, but '{path_text(prefix)}' comes first in {SEARCH_PATH}"
-        return "'keymint plugins' lists the packages that do"
 
 
 PackageFolders = CopiedPackages | InstalledPackages

@@ -10,6 +10,8 @@ import errno
 import os
 import posixpath
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
@@ -50,55 +52,74 @@ class SandboxedFolder:
         """Return the path of a file in this folder, before links are resolved."""
         return Path(self.path or self.shown, relative)
 
+    def resolve(self, relative: str, where: Origin) -> Path:
+        """Return the resolved path of a file in this folder, whether or not it exists.
 
-def resolve(folder: SandboxedFolder, relative: str, where: Origin) -> Path:
-    """Return the resolved path of a file in a folder, whether or not it exists.
+        Raises:
+            ComArmorError: the path leads outside of the folder, also by ``..`` or a symbolic link.
+        """
+        outside = relative.split("/", 1)[0] == ".."
+        with file_errors("the file", where):
+            real = (self.real / relative).resolve()
+        if outside or not (self.trusts_links or real.is_relative_to(self.real)):
+            copy = "copy the file into the folder, and include the copy"
+            raise ComArmorError(
+                f"{quote(relative, 200)} is outside of the policy's folder {quote(path_text(self.shown), 200)}",
+                where=where,
+                help=FOLLOW_LINKS if self.package and not outside else copy,
+                code="include-outside",
+            )
+        return real
 
-    Raises:
-        ComArmorError: the path leads outside of the folder, also by ``..`` or a symbolic link.
-    """
-    outside = relative.split("/", 1)[0] == ".."
-    try:
-        real = (folder.real / relative).resolve()
-    except (OSError, RuntimeError, ValueError) as error:
-        raise ComArmorError(read_failure(error, "the file"), where=where, code="unreadable") from None
-    if outside or not (folder.trusts_links or real.is_relative_to(folder.real)):
-        raise ComArmorError(
-            f"{quote(relative, 200)} is outside of the policy's folder {quote(path_text(folder.shown), 200)}",
-            where=where,
-            help=FOLLOW_LINKS
-            if folder.package and not outside
-            else "copy the file into the folder, and include the copy",
-            code="include-outside",
-        )
-    return real
+    def read(self, real: Path, size: int, where: Origin) -> bytes:
+        """Return at most ``size`` bytes of a file that :meth:`resolve` returned; see :func:`read_bounded`.
 
+        Raises:
+            ComArmorError: it cannot be read.
+        """
+        with file_errors("the file", where):
+            return read_bounded(real.parent if self.trusts_links else self.real, real, size)
 
-def read_in(folder: SandboxedFolder, real: Path, size: int, where: Origin) -> bytes:
-    """Return at most ``size`` bytes of a file that :func:`resolve` returned for a folder; see :func:`read_bounded`.
+    def has(self, relative: str, where: Origin) -> bool:
+        """Whether a path in this folder exists.
 
-    Raises:
-        ComArmorError: it cannot be read.
-    """
-    try:
-        return read_bounded(real.parent if folder.trusts_links else folder.real, real, size)
-    except (OSError, ValueError) as error:
-        raise ComArmorError(read_failure(error, "the file"), where=where, code="unreadable") from None
-
-
-def exists(folder: SandboxedFolder, relative: str, where: Origin) -> bool:
-    """Whether a path in a folder exists.
-
-    Raises:
-        ComArmorError: the path leads outside of the folder, or cannot be accessed.
-    """
-    try:
-        resolve(folder, relative, where).lstat()
-    except (FileNotFoundError, NotADirectoryError):
+        Raises:
+            ComArmorError: the path leads outside of the folder, or cannot be accessed.
+        """
+        with file_errors("the file", where), suppress(FileNotFoundError, NotADirectoryError):
+            self.resolve(relative, where).lstat()
+            return True
         return False
-    except OSError as error:
-        raise ComArmorError(read_failure(error, "the file"), where=where, code="unreadable") from None
-    return True
+
+    def similar_file(self, relative: str, including: str = "") -> str:
+        """Return a hint at a file with a similar name in the folder of a missing file.
+
+        Args:
+            relative: path of the missing file.
+            including: the including file as messages name it; it is not suggested.
+        """
+        parent, missing = posixpath.split(relative)
+        try:
+            names = [entry.name for entry in (self.real / parent).iterdir()]
+        except OSError:
+            return ""
+        names = [name for name in names if self.name(posixpath.join(parent, name)) != including]
+        return did_you_mean(missing, names)
+
+
+@contextmanager
+def file_errors(what: str, where: Origin, code: str = "unreadable") -> Iterator[None]:
+    """Raise what the file system refuses in a block as a :class:`ComArmorError`.
+
+    Args:
+        what: what is read, for the message of :func:`read_failure`.
+        where: the place of the error.
+        code: its code.
+    """
+    try:
+        yield
+    except (OSError, RuntimeError, ValueError) as error:
+        raise ComArmorError(read_failure(error, what), where=where, code=code) from None
 
 
 def read_bounded(folder: Path, real: Path, size: int) -> bytes:
@@ -125,23 +146,6 @@ def read_bounded(folder: Path, real: Path, size: int) -> bytes:
             return stream.read(size)
     finally:
         os.close(file)
-
-
-def similar_file(folder: SandboxedFolder, relative: str, including: str = "") -> str:
-    """Return a hint at a file with a similar name in the folder of a missing file.
-
-    Args:
-        folder: the sandbox.
-        relative: path of the missing file.
-        including: the including file as messages name it; it is not suggested.
-    """
-    parent, missing = posixpath.split(relative)
-    try:
-        names = [entry.name for entry in (folder.real / parent).iterdir()]
-    except OSError:
-        return ""
-    names = [name for name in names if folder.name(posixpath.join(parent, name)) != including]
-    return did_you_mean(missing, names)
 
 
 def read_failure(error: Exception, what: str) -> str:

@@ -9,15 +9,7 @@ from pathlib import Path
 import pytest
 
 from comarmor.errors import ComArmorError, Origin
-from comarmor.xml.sandboxed_paths import (
-    SandboxedFolder,
-    exists,
-    path_text,
-    read_bounded,
-    read_failure,
-    resolve,
-    similar_file,
-)
+from comarmor.xml.sandboxed_paths import SandboxedFolder, path_text, read_bounded, read_failure
 
 HERE = Origin("p.xml", 1)
 
@@ -39,26 +31,26 @@ def sandbox(tmp_path: Path) -> SandboxedFolder:
 def test_paths_that_lead_outside_are_refused(sandbox: SandboxedFolder, tmp_path: Path, relative: str) -> None:
     (sandbox.real / "link.xml").symlink_to(tmp_path / "outside.xml")
     (sandbox.real / "dir").symlink_to(tmp_path)
-    for access in (resolve, exists):
+    for access in (sandbox.resolve, sandbox.has):
         with pytest.raises(ComArmorError) as caught:
-            access(sandbox, relative, HERE)
+            access(relative, HERE)
         (diagnostic,) = caught.value.diagnostics
         assert (diagnostic.code, diagnostic.where) == ("include-outside", HERE)
         assert "'policy'" in diagnostic.message
 
 
 def test_paths_that_come_back_inside_are_allowed_unless_they_begin_outside(sandbox: SandboxedFolder) -> None:
-    assert resolve(sandbox, "sub/../a.xml", HERE) == sandbox.real / "a.xml"
+    assert sandbox.resolve("sub/../a.xml", HERE) == sandbox.real / "a.xml"
     with pytest.raises(ComArmorError, match="outside"):
-        resolve(sandbox, "../policy/a.xml", HERE)
+        sandbox.resolve("../policy/a.xml", HERE)
 
 
 def test_files_that_exist_and_those_that_do_not(sandbox: SandboxedFolder) -> None:
-    assert exists(sandbox, "sub/b.xml", HERE)
+    assert sandbox.has("sub/b.xml", HERE)
     for missing in ("c.xml", "a.xml/c.xml", "none/c.xml"):
-        assert not exists(sandbox, missing, HERE)
+        assert not sandbox.has(missing, HERE)
     with pytest.raises(ComArmorError, match="cannot be read"):
-        exists(sandbox, "x" * 5000, HERE)
+        sandbox.has("x" * 5000, HERE)
 
 
 def test_a_read_is_bounded(sandbox: SandboxedFolder) -> None:
@@ -70,7 +62,7 @@ def test_a_read_is_bounded(sandbox: SandboxedFolder) -> None:
 def test_a_path_that_is_swapped_for_a_link_after_the_check_is_not_followed(
     sandbox: SandboxedFolder, tmp_path: Path, part: str
 ) -> None:
-    checked = resolve(sandbox, "sub/b.xml", HERE)
+    checked = sandbox.resolve("sub/b.xml", HERE)
     (tmp_path / "b.xml").write_text("secret")
     (sandbox.real / part).rename(tmp_path / "moved")
     (sandbox.real / part).symlink_to(tmp_path if part == "sub" else tmp_path / "b.xml")
@@ -87,9 +79,9 @@ def test_only_regular_files_are_read_and_a_pipe_does_not_block(sandbox: Sandboxe
 
 def test_a_missing_file_is_compared_with_those_in_its_folder(sandbox: SandboxedFolder) -> None:
     (sandbox.real / "sub" / "b.xml").rename(sandbox.real / "sub" / "node.xml")
-    assert similar_file(sandbox, "sub/nod.xml") == "did you mean 'node.xml'?"
-    assert similar_file(sandbox, "sub/nod.xml", including="policy/sub/node.xml") == ""
-    assert similar_file(sandbox, "none/nod.xml") == ""
+    assert sandbox.similar_file("sub/nod.xml") == "did you mean 'node.xml'?"
+    assert sandbox.similar_file("sub/nod.xml", including="policy/sub/node.xml") == ""
+    assert sandbox.similar_file("none/nod.xml") == ""
 
 
 def test_names_as_the_user_would_type_them(sandbox: SandboxedFolder) -> None:
