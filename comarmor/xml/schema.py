@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,6 @@ from lxml import etree
 from comarmor.errors import ComArmorError, Diagnostic, Origin
 from comarmor.regex import lazy_regex
 from comarmor.text import did_you_mean, quote
-from comarmor.values import dataclass
 from comarmor.xml.reader import XINCLUDE, line_in, parse
 
 XS = "{http://www.w3.org/2001/XMLSchema}"
@@ -23,33 +22,21 @@ _MOST = 50
 """Violations of one file that are reported at most."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class SchemaVocabulary:
     """The names that an XSD declares, with those of the XSDs that it includes.
 
     Messages need them: libxml2 does not always report which elements are allowed.
 
+    Args:
+        documents: root elements of the XSD and of those that it includes.
+
     Attributes:
         elements: declarations of the elements that may be a root.
-        types: complex types by name.
-        groups: groups of elements by name.
         names: names of all elements, sorted.
         attributes: names of all attributes, sorted.
     """
 
-    elements: Mapping[str, etree._Element]
-    types: Mapping[str, etree._Element]
-    groups: Mapping[str, etree._Element]
-    names: tuple[str, ...]
-    attributes: tuple[str, ...]
-
-    @classmethod
-    def of(cls, documents: Iterable[etree._Element]) -> SchemaVocabulary:
-        """Return the vocabulary of an XSD.
-
-        Args:
-            documents: root elements of the XSD and of those that it includes.
-        """
+    def __init__(self, documents: Iterable[etree._Element]) -> None:
         schemas = tuple(documents)
 
         def top_level(tag: str) -> dict[str, etree._Element]:
@@ -59,8 +46,8 @@ class SchemaVocabulary:
             declared = (item.get("name") for schema in schemas for item in schema.iter(f"{XS}{tag}"))
             return tuple(sorted({str(name) for name in declared if name}))
 
-        types, groups = top_level("complexType"), top_level("group")
-        return cls(top_level("element"), types, groups, names("element"), names("attribute"))
+        self.elements, self._types, self._groups = map(top_level, ("element", "complexType", "group"))
+        self.names, self.attributes = names("element"), names("attribute")
 
     def allowed_in(self, element: etree._Element) -> tuple[str, ...]:
         """Return the names of the elements that are allowed in an element of a document; none if it is not declared."""
@@ -72,7 +59,7 @@ class SchemaVocabulary:
 
     def _children(self, declaration: etree._Element) -> dict[str, etree._Element]:
         """Return the declarations of the elements allowed in a declared element, by name."""
-        type_ = self.types.get(declaration.get("type", ""), declaration)
+        type_ = self._types.get(declaration.get("type", ""), declaration)
         children: dict[str, etree._Element] = {}
         for child in self._declared(type_):
             name = str(child.get("name") or child.get("ref", ""))
@@ -84,11 +71,11 @@ class SchemaVocabulary:
         for child in holder:
             if child.tag == f"{XS}element":
                 yield child
-            elif child.tag == f"{XS}group" and child.get("ref") in self.groups:
-                yield from self._declared(self.groups[child.get("ref", "")])
+            elif child.tag == f"{XS}group" and child.get("ref") in self._groups:
+                yield from self._declared(self._groups[child.get("ref", "")])
             else:
-                if child.tag == f"{XS}extension" and child.get("base") in self.types:
-                    yield from self._declared(self.types[child.get("base", "")])
+                if child.tag == f"{XS}extension" and child.get("base") in self._types:
+                    yield from self._declared(self._types[child.get("base", "")])
                 yield from self._declared(child)
 
 
@@ -100,7 +87,7 @@ def _compiled(path: Path) -> etree.XMLSchema:
 @lru_cache
 def _vocabulary(path: Path) -> SchemaVocabulary:
     """Return the names that an XSD declares; only documents with defects need them."""
-    return SchemaVocabulary.of(_documents(path))
+    return SchemaVocabulary(_documents(path))
 
 
 def _documents(path: Path) -> Iterator[etree._Element]:
@@ -228,27 +215,22 @@ _EXPLANATIONS: tuple[tuple[str, _Explanation], ...] = (
     (r"Element '(.+?)': Missing child element\(s\)\. Expected is (?:one of )?\( (.+) \)\.", _missing),
     (r"Element '(.+?)': No matching global declaration", _root),
     (r"Element '(.+?)', attribute '(.+?)': The attribute '.+' is not allowed", _attribute),
-    (
-        r"Element '(.+?)': The attribute '(.+?)' is required but missing",
-        lambda match, *_: (f"<{match[1]}> lacks its attribute '{match[2]}'", ""),
-    ),
     (_NODE + r"\[.+?\] The value '(.*)' is not .+ set \{(.+)\}", _enumeration),
     (_NODE + r"\[facet '(min|max)Length'\] .* length of '(\d+)'.* length of '(\d+)'", _length),
     (_NODE + r"\[facet '(min|max)Inclusive'\] .* '(.*)' is .+ \('(.+)'\)", _bound),
-    (
-        r"Element '(.+?)': Element content is not allowed",
-        lambda match, *_: (f"<{match[1]}> can only contain text, no elements", ""),
-    ),
-    (
-        r"Element '(.+?)': Character content",
-        lambda match, *_: (f"<{match[1]}> cannot contain text", "remove the text, or put it into a comment"),
-    ),
     (
         _NODE + r"(?:\[.+?\] The value )?'(.*)' is not (a valid .+|accepted .+)\.",
         lambda match, *_: (f"{_node(match)} is {quote(match[3])}, which is not {match[4]}", ""),
     ),
 )
 """Patterns of libxml2's messages, and the function that words each. Groups: element, attribute, value, expected."""
+
+_FIXED_EXPLANATIONS = (
+    (r"Element '(.+?)': The attribute '(.+?)' is required but missing", r"<\1> lacks its attribute '\2'", ""),
+    (r"Element '(.+?)': Element content is not allowed", r"<\1> can only contain text, no elements", ""),
+    (r"Element '(.+?)': Character content", r"<\1> cannot contain text", "remove the text, or put it into a comment"),
+)
+"""Patterns of libxml2's messages, and for each the template of a message, and what to do."""
 
 
 def _explain(message: str, vocabulary: SchemaVocabulary, element: etree._Element | None) -> tuple[str, str]:
@@ -257,6 +239,9 @@ def _explain(message: str, vocabulary: SchemaVocabulary, element: etree._Element
     for pattern, explanation in _EXPLANATIONS:
         if match := re.match(pattern, message, re.DOTALL):
             return explanation(match, vocabulary, element)
+    for pattern, template, help_ in _FIXED_EXPLANATIONS:
+        if match := re.match(pattern, message, re.DOTALL):
+            return match.expand(template), help_
     return _QUOTED.sub(lambda value: quote(value[1]), " ".join(message.split())), ""
 
 

@@ -33,7 +33,7 @@ INCLUDED = b"""<xs:schema xmlns:xs="http://www.w3.org/2001/XMLSchema">
 
 @pytest.fixture
 def vocabulary() -> SchemaVocabulary:
-    return SchemaVocabulary.of(map(etree.fromstring, (MAIN, INCLUDED)))
+    return SchemaVocabulary(map(etree.fromstring, (MAIN, INCLUDED)))
 
 
 @pytest.mark.parametrize(
