@@ -38,6 +38,7 @@ F_STRINGS = {
     "f'{code}-expires'": each_of("certificate grant revocation-list", "expires"),
     "f'{owner}-incomplete'": each_of("certificate grant", "incomplete"),
     "f'size-{kind}'": each_of("size", "governance permissions"),
+    "f'unknown-{what}'": each_of("unknown", "kind permission"),
 }
 """The f-strings that give codes, and their values."""
 NO_CODES = {"32", "expired", "keymint-graph", "ls-files", "not-yet-valid", "python-pkcs11"}

@@ -80,9 +80,8 @@ def parse(text: str) -> tuple[Piece | TunableReference, ...]:
         elif reference := _REFERENCE.match(text, at):
             pieces.append(TunableReference(reference[1]))
             at = reference.end()
-        elif text[at] in "{}":
-            braces = _BRACES.match(text, at)
-            placeholder = braces[0] if braces else text[at]
+        elif braces := _BRACES.match(text, at):
+            placeholder = braces[0]
             if placeholder not in tuple(Placeholder):
                 raise ComArmorError(
                     f"{quote(placeholder)} is unknown, expected {{name}}, {{namespace}} or @{{TUNABLE}}",
@@ -136,19 +135,13 @@ def expand(pieces: Sequence[Piece | TunableReference], values: Callable[[str], S
             f"the tunables have {number:,} combinations, more than the {MOST_VALUES:,} allowed", code="tunable"
         )
     for combination in product(*choices):
-        yield _bounded(_join(_flat(combination)))
+        yield _bounded(_join(combination))
 
 
 def _bounded(value: Value) -> Value:
     if sum(map(len, value)) > MOST_CHARACTERS:
         raise ComArmorError(f"the expression is longer than {MOST_CHARACTERS:,} characters", code="expression")
     return value
-
-
-def _flat(combination: Iterable[tuple[Value, bool]]) -> Iterator[tuple[Piece, bool]]:
-    """Yield the pieces of a combination (an empty value as ``""``), and whether each comes from an expansion."""
-    for value, expanded in combination:
-        yield from ((piece, expanded) for piece in value or ("",))
 
 
 def parts(subject: str) -> tuple[str, str]:
@@ -172,19 +165,19 @@ def for_parts(value: Value, namespace: str, name: str) -> str:
     plain = "".join(texts)
     if "//" not in plain:
         return plain
-    (joined,) = _join((text, isinstance(p, Placeholder)) for text, p in zip(texts, value, strict=True)) or ("",)
+    (joined,) = _join(((text,), isinstance(p, Placeholder)) for text, p in zip(texts, value, strict=True)) or ("",)
     return joined
 
 
-def _join(pieces: Iterable[tuple[Piece, bool]]) -> Value:
-    """Concatenate pieces. A ``//`` that an expansion creates becomes ``/``; one that was written stays.
+def _join(values: Iterable[tuple[Value, bool]]) -> Value:
+    """Concatenate values. A ``//`` that an expansion creates becomes ``/``; one that was written stays.
 
     Args:
-        pieces: pieces, and whether each comes from an expansion.
+        values: pieces, and whether they come from an expansion; without pieces it is an empty one.
     """
     joined: list[Piece] = []
     meets_expansion = False
-    for piece, expanded in pieces:
+    for piece, expanded in ((piece, expanded) for value, expanded in values for piece in value or ("",)):
         if isinstance(piece, Placeholder):
             joined.append(piece)
             meets_expansion = False

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -142,7 +141,7 @@ def _read(file: Path) -> Iterator[Expectation]:
                 try:
                     parse_expression(expression)
                 except ComArmorError as error:
-                    defects += (replace(each, where=where) for each in error.diagnostics)
+                    defects += error.at(where).diagnostics
             yield Expectation(
                 test=test.get("name", ""),
                 allowed=element.tag == "allow",

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import field
 from pathlib import Path
 
@@ -39,30 +39,6 @@ class Ruling:
     effect: Effect
     rules: tuple[Rule, ...]
     reason: Reason
-
-
-def rule_row(rules: Sequence[Rule], kind: str, permission: str, known: dict[tuple[str, str], Row]) -> Row:
-    """Return what rules say about a permission.
-
-    Args:
-        rules: the rules of a subject, expanded for it; their order has no meaning.
-        kind: kind of the object.
-        permission: a permission of that kind.
-        known: the rows of these rules so far, by kind and permission; it gets the new ones.
-
-    Raises:
-        ComArmorError: the kind or the permission is not known.
-    """
-    row = known.get((kind, permission))
-    if row is None:
-        _known(kind, permission)
-        if parts := PARTS.get((kind, permission)):
-            own = [(rule_row(rules, part_kind, part, known), suffix) for part_kind, part, suffix in parts]
-            row = _CompositeRow(kind, permission, own)
-        else:
-            row = _ElementaryRow(rules, kind, permission)
-        known[kind, permission] = row
-    return row
 
 
 class Row(ABC):
@@ -199,28 +175,12 @@ class _CompositeRow(Row):
         return tuple(row.decision(name + suffix, partitions) for row, suffix in self._parts)
 
 
-def _known(kind: str, permission: str) -> None:
-    if kind not in PERMISSIONS:
-        raise ComArmorError(
-            f"unknown kind {quote(kind)}, expected one of {', '.join(PERMISSIONS)}",
-            help=did_you_mean(kind, PERMISSIONS),
-            code="unknown-kind",
-        )
-    if permission not in PERMISSIONS[kind]:
-        raise ComArmorError(
-            f"unknown permission {quote(permission)} of {kind}, expected one of {', '.join(PERMISSIONS[kind])}",
-            help=did_you_mean(permission, PERMISSIONS[kind]),
-            code="unknown-permission",
-        )
-
-
 _MOST_CACHED = 4096
 """Subjects whose rules are cached."""
 _MOST_INDEXED = 256
 """Subjects whose rules are indexed: questions come grouped by subject."""
 
 
-@dataclass(frozen=True, slots=True)
 class _ProfileLookup:
     """Sibling profiles, indexed by their attachments, so that a subject is not compared with each of them.
 
@@ -230,17 +190,12 @@ class _ProfileLookup:
         inner: the nested level of each profile, or None for a profile without nested ones.
     """
 
-    profiles: tuple[Profile, ...]
-    attachments: PatternIndex[int]
-    inner: tuple[_ProfileLookup | None, ...]
-
-    @classmethod
-    def of(cls, profiles: tuple[Profile, ...]) -> _ProfileLookup:
-        attachments = PatternIndex(
+    def __init__(self, profiles: tuple[Profile, ...]) -> None:
+        self.profiles = profiles
+        self.attachments = PatternIndex(
             (parse(attachment.text), at) for at, profile in enumerate(profiles) for attachment in profile.attachments
         )
-        inner = tuple(cls.of(profile.profiles) if profile.profiles else None for profile in profiles)
-        return cls(profiles, attachments, inner)
+        self.inner = [_ProfileLookup(profile.profiles) if profile.profiles else None for profile in profiles]
 
     def applicable(self, subject: str) -> Iterator[Profile]:
         """Yield the profiles of this level and below that apply to a subject, outer ones first."""
@@ -277,7 +232,7 @@ class Policy:
     """By identity of a profile, or of the rules of an included file."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_level", _ProfileLookup.of(self.profiles))
+        object.__setattr__(self, "_level", _ProfileLookup(self.profiles))
 
     def applicable(self, subject: str) -> tuple[Profile, ...]:
         """Return the profiles that apply to a subject: an attachment of each, and of every enclosing one, matches it.
@@ -329,7 +284,7 @@ class Policy:
         return self._digests[id(owner)]
 
     def _expanded(self, rule: ProfileRule, namespace: str, name: str) -> Rule:
-        if rule.depends_on_subject:
+        if any(attachment.value for attachment in rule.attachments):  # it names the subject
             return rule.for_parts(namespace, name)
         if id(rule) not in self._shared_rules:
             self._shared_rules[id(rule)] = rule.for_parts(namespace, name)
@@ -340,7 +295,17 @@ class Policy:
         if len(self._rows) >= _MOST_INDEXED and subject not in self._rows:
             self._rows.clear()
         rows = self._rows.setdefault(subject, {})
-        return rows.get((kind, permission)) or rule_row(self.rules(subject), kind, permission, rows)
+        row = rows.get((kind, permission))
+        if row is None:
+            _require("kind", kind, PERMISSIONS)
+            _require("permission", permission, PERMISSIONS[kind], f" of {kind}")
+            if composite := PARTS.get((kind, permission)):
+                own = [(self.row(subject, part_kind, part), suffix) for part_kind, part, suffix in composite]
+                row = _CompositeRow(kind, permission, own)
+            else:
+                row = _ElementaryRow(self.rules(subject), kind, permission)
+            rows[kind, permission] = row
+        return row
 
     def decide(
         self,
@@ -367,6 +332,15 @@ class Policy:
     def subjects(self) -> tuple[str, ...]:
         """Return, sorted, the subjects that an attachment names exactly and that its profile applies to."""
         return tuple(sorted(set(_subjects(self.profiles, ()))))
+
+
+def _require(what: str, name: str, known: Collection[str], owner: str = "") -> None:
+    if name not in known:
+        raise ComArmorError(
+            f"unknown {what} {quote(name)}{owner}, expected one of {', '.join(known)}",
+            help=did_you_mean(name, known),
+            code=f"unknown-{what}",
+        )
 
 
 def _digest(texts: Iterable[str]) -> str:

@@ -62,11 +62,6 @@ class ProfileRule:
     audit: bool
     where: Origin
 
-    @property
-    def depends_on_subject(self) -> bool:
-        """Whether an attachment contains ``{name}`` or ``{namespace}``."""
-        return any(attachment.value for attachment in self.attachments)
-
     def for_parts(self, namespace: str, name: str, where: Origin | None = None) -> Rule:
         """Return the rule for a subject, whose parts are given as :meth:`Attachment.for_parts` needs them."""
         return self.with_expressions([each.for_parts(namespace, name) for each in self.attachments], where)

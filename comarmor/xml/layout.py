@@ -82,7 +82,9 @@ def nodes(content: bytes, layout: DocumentLayout) -> Element:
         content: a document that :func:`comarmor.xml.reader.parse` accepts.
         layout: its layout.
     """
-    return _Builder(layout).built(content)
+    builder = _Builder(layout, has_mark=content.startswith(_BYTE_ORDER_MARKS))
+    builder.parser.Parse(content, True)
+    return builder.open[0]
 
 
 def markup(element: Element) -> Iterator[Markup]:
@@ -112,12 +114,13 @@ class _Builder:
 
     Args:
         layout: its layout.
+        has_mark: it begins with a byte order mark.
     """
 
-    def __init__(self, layout: DocumentLayout) -> None:
+    def __init__(self, layout: DocumentLayout, *, has_mark: bool) -> None:
         self.layout = layout
+        self.has_mark = has_mark
         self.open = [Element("", {}, 0)]
-        self.has_mark = False
         self.between: list[str] = []
         """The text since the last tag, comment or processing instruction."""
         self.parser = expat.ParserCreate()
@@ -130,11 +133,6 @@ class _Builder:
             f"<?{target} {data}?>" if data else f"<?{target}?>"
         )
         self.parser.DefaultHandler = self.outside
-
-    def built(self, content: bytes) -> Element:
-        self.has_mark = content.startswith(_BYTE_ORDER_MARKS)
-        self.parser.Parse(content, True)
-        return self.open[0]
 
     def outside(self, text: str) -> None:
         """Take what stands before or after the root element (expat's handler of everything else)."""

@@ -57,9 +57,6 @@ class Limits:
 LIMITS = Limits()
 
 
-_UNBOUND = expat.errors.codes[expat.errors.XML_ERROR_UNBOUND_PREFIX]
-
-
 class _Element(etree.ElementBase):
     """An element with its exact place; libxml2 stores only 16 bits of the line, and of the start tag's end.
 
@@ -177,7 +174,7 @@ class _Scanner:
         self.open: list[tuple[str, int]] = []
         self.parser = expat.ParserCreate(namespace_separator="}")
         self.parser.StartElementHandler = self.start
-        self.parser.EndElementHandler = self.end
+        self.parser.EndElementHandler = lambda _tag: self.open.pop()
         self.parser.StartDoctypeDeclHandler = self.doctype
 
     def scan(self, content: bytes) -> array[int]:
@@ -194,12 +191,9 @@ class _Scanner:
                     self.refuse(f"a tag or comment has more than {self.limits.tag_bytes:,} bytes", "xml-limit")
             self.parser.Parse(b"", True)
         except expat.ExpatError as error:
-            raise ComArmorError(
-                f"not well-formed XML: {self.explain(error)}",
-                where=self.at(error.lineno),
-                help=self.fix(error, content),
-                code="xml-syntax",
-            ) from None
+            message, help_ = self.explain(error, content)
+            where = self.at(error.lineno)
+            raise ComArmorError(f"not well-formed XML: {message}", where=where, help=help_, code="xml-syntax") from None
         except (LookupError, UnicodeError, ValueError) as error:
             raise ComArmorError(
                 f"the encoding of the file is not usable: {quote(str(error))}",
@@ -214,23 +208,21 @@ class _Scanner:
         """Return the place of a line."""
         return Origin(self.file.file, number, self.file.chain)
 
-    def explain(self, error: expat.ExpatError) -> str:
-        """Return a description of a syntax error, with the expected end tag if tags do not match."""
-        if error.code == expat.errors.codes[expat.errors.XML_ERROR_TAG_MISMATCH] and self.open:
-            tag, opened = self.open[-1]
-            return f"expected the end of <{tag.rpartition('}')[2]}>, which begins on line {opened}"
-        if error.code == _UNBOUND:
-            return "a prefix of this tag is not declared"
-        return expat.ErrorString(error.code)
+    def explain(self, error: expat.ExpatError, content: bytes) -> tuple[str, str]:
+        """Return the description of a syntax error, and how to fix it if a prefix is not declared.
 
-    def fix(self, error: expat.ExpatError, content: bytes) -> str:
-        """Return how to fix an undeclared prefix; empty for other errors."""
-        if error.code != _UNBOUND:
-            return ""
-        tag = content[self.parser.ErrorByteIndex :].partition(b">")[0]
-        if re.match(rb"</?xi:", tag):
-            return f'add xmlns:xi="{XINCLUDE}" to the root element'
-        return "declare the prefix with xmlns:… at the root element, or remove it"
+        If tags do not match, the description has the expected end tag.
+        """
+        name = expat.ErrorString(error.code)
+        if name == expat.errors.XML_ERROR_TAG_MISMATCH and self.open:
+            tag, opened = self.open[-1]
+            return f"expected the end of <{tag.rpartition('}')[2]}>, which begins on line {opened}", ""
+        if name != expat.errors.XML_ERROR_UNBOUND_PREFIX:
+            return name, ""
+        is_include = re.match(rb"</?xi:", content[self.parser.ErrorByteIndex :])
+        added = f'add xmlns:xi="{XINCLUDE}" to the root element'
+        declared = "declare the prefix with xmlns:… at the root element, or remove it"
+        return "a prefix of this tag is not declared", added if is_include else declared
 
     def refuse(self, message: str, code: str, help_: str = "") -> NoReturn:
         """Stop at the current line."""
@@ -252,10 +244,6 @@ class _Scanner:
             space, _, local = attribute.rpartition("}")
             if space == XSI and (len(self.places) > 1 or local not in _HINTS):
                 self.refuse(f"the attribute xsi:{local} is not expected here", "schema", "remove it")
-
-    def end(self, _tag: str) -> None:
-        """Close an element (expat's handler of end tags)."""
-        self.open.pop()
 
     def doctype(self, *_args: object) -> None:
         """Refuse a DOCTYPE before its content is read."""

@@ -8,7 +8,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from comarmor.errors import ComArmorError, Origin
-from comarmor.language.policy import Row, rule_row
+from comarmor.language.policy import Policy
+from comarmor.language.syntax import Attachment, Profile, ProfileRule
 from comarmor.rules import PARTS, PERMISSIONS, Effect, Rule
 from tests.comarmor.language.reference_evaluator import decide
 
@@ -43,6 +44,24 @@ def rules(draw: st.DrawFn) -> Rule:
     )
 
 
+def policy_of(drawn: list[Rule]) -> Policy:
+    """Return the policy that has these rules for /s."""
+    place = Origin("policy.xml")
+    written = tuple(
+        ProfileRule(
+            rule.effect,
+            rule.kind,
+            rule.permissions,
+            tuple(Attachment(expression, rule.origin) for expression in rule.expressions),
+            rule.partitions,
+            rule.audit,
+            rule.origin,
+        )
+        for rule in drawn
+    )
+    return Policy((Profile("", False, (Attachment("/s", place),), (), written, place),))
+
+
 REQUESTS = st.sampled_from(
     [(kind, permission) for kind, permissions in PERMISSIONS.items() for permission in permissions]
 )
@@ -54,10 +73,10 @@ TWICE = Rule(Effect.ALLOW, "ros_action", ("ros_request",), ("/a",), (), False, O
 def test_the_index_decides_as_the_reference(
     drawn: list[Rule], requests: list[tuple[tuple[str, str], str, tuple[str, ...]]]
 ) -> None:
-    known: dict[tuple[str, str], Row] = {}
+    policy = policy_of(drawn)
     for (kind, permission), name, partitions in requests:
         expected = decide(drawn, kind, permission, name, partitions)
-        decided = rule_row(drawn, kind, permission, known).decision(name, partitions)
+        decided = policy.decide("/s", kind, permission, name, partitions)
         assert decided == expected
         assert decided.audit == expected.audit
 
@@ -65,11 +84,11 @@ def test_the_index_decides_as_the_reference(
 @given(st.lists(rules(), max_size=6), REQUESTS, st.lists(NAMES, max_size=8))
 def test_many_names_are_decided_as_one_by_one(drawn: list[Rule], request: tuple[str, str], names: list[str]) -> None:
     expected = bytes(decide(drawn, *request, name).allowed for name in names)
-    assert rule_row(drawn, *request, {}).allowed(names) == expected
+    assert policy_of(drawn).row("/s", *request).allowed(names) == expected
 
 
 def test_an_unknown_kind_or_permission_is_refused() -> None:
     with pytest.raises(ComArmorError, match=r"unknown kind 'ros_topics'.*ros_topic"):
-        rule_row((), "ros_topics", "ros_publish", {})
+        policy_of([]).row("/s", "ros_topics", "ros_publish")
     with pytest.raises(ComArmorError, match=r"unknown permission 'ros_call' of ros_topic"):
-        rule_row((), "ros_topic", "ros_call", {})
+        policy_of([]).row("/s", "ros_topic", "ros_call")

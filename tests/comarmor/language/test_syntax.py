@@ -22,7 +22,6 @@ def test_an_attachment_is_expanded_for_the_subject_only_if_it_depends_on_it() ->
 def test_a_rule_of_a_profile_keeps_everything_but_repeated_expressions() -> None:
     attachments = (Attachment.of(("/x",), HERE), Attachment.of((Placeholder.NAMESPACE, "x"), HERE))
     written = ProfileRule(Effect.DENY, "topic", ("publish",), attachments, ("p",), True, THERE)
-    assert written.depends_on_subject
     expanded = written.with_expressions(attachment.for_parts("/", "a") for attachment in attachments)
     assert expanded == Rule(Effect.DENY, "topic", ("publish",), ("/x",), ("p",), True, THERE)
 
