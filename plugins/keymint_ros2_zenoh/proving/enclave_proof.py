@@ -23,7 +23,7 @@ from keymint.api import Claim, Counterexample, DomainRange, Endpoint, PolicyDeci
 from keymint.errors import KeymintError
 from keymint.pki.examine import enclave_file
 from keymint_ros2_zenoh.decision import AccessModel, KeyLists, LinkAccess, first_common_name
-from keymint_ros2_zenoh.documents.configuration import Configuration, Flow, Message
+from keymint_ros2_zenoh.documents.configuration import Flow, Message
 from keymint_ros2_zenoh.documents.configuration_reader import read
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, ROUTER, SESSION
 from keymint_ros2_zenoh.examine import configurations
@@ -194,7 +194,9 @@ class _Rights:
         if isinstance(result, Witness) and message is Message.REPLY and not result.left:
             again = self._compare(self._side(self._policy.expressible(message, flow)), router)
             excepted = (_REPLIES,) if again == Equal() else ()
-            result = result if isinstance(again, Witness) and not self._real(again, message, flow) else again
+            # A key counts only if the policy decides on it as the side that it was found with.
+            if not isinstance(again, Witness) or self._decision(message, flow, again.word).allowed is again.left:
+                result = again
         if isinstance(result, Unknown):
             return self.claim(message, flow, Proof.UNKNOWN, result.reason, spent=True)
         if isinstance(result, Witness):
@@ -223,10 +225,6 @@ class _Rights:
         example = self._example(message, flow, key, self._decision(message, flow, key), verdict)
         return self.claim(message, flow, Proof.COUNTEREXAMPLE, "", example)
 
-    def _real(self, witness: Witness, message: Message, flow: Flow) -> bool:
-        """Return whether the policy decides on a key as the side that the witness was found with."""
-        return self._decision(message, flow, witness.word).allowed is witness.left
-
     def _decision(self, message: Message, flow: Flow, key: str) -> PolicyDecision:
         return policy_evaluator.decide(self._task.rules, self._policy.domains, key, message, flow)
 
@@ -251,7 +249,8 @@ class _Rights:
         """Return the denied key expressions that match a key which one of the allowed ones matches."""
         lists = (allowed, denied)
         if lists not in self._meeting:
-            self._meeting[lists] = tuple(key for key in denied if _meets(key, allowed))
+            spend(_MEETING * len(allowed) * len(denied))
+            self._meeting[lists] = tuple(key for key in denied if any(intersects(key, other) for other in allowed))
         return self._meeting[lists]
 
     def _compare(self, policy: Side, router: Side) -> ProofResult:
@@ -276,7 +275,7 @@ class _Rights:
         self, message: Message, flow: Flow, key: str, policy: PolicyDecision, verdict: Verdict
     ) -> Counterexample:
         subject, meaning = self._task.rules.subject, policy_evaluator.meaning_of(key)
-        endpoint = Endpoint(subject, action(message, flow), key, domain=meaning.domain if meaning else 0)
+        endpoint = Endpoint(subject, action(message, flow), key, domain=meaning[0] if meaning else 0)
         edge = next(policy_evaluator.edges(subject, key, message, flow), None)
         return Counterexample(endpoint, edge, policy, verdict)
 
@@ -286,15 +285,22 @@ def _include(outer: Iterable[KeyExpr], inner: Iterable[KeyExpr]) -> bool:
     return all(any(includes(each, key) for each in outer) for key in inner)
 
 
-def _meets(key: KeyExpr, others: Sequence[KeyExpr]) -> bool:
-    """Return whether a key matches a key expression and one of others."""
-    spend(_MEETING * len(others))
-    return any(intersects(key, other) for other in others)
-
-
-CONNECT = "connect"
-_EXPECTED = "a session must exchange messages with the router alone"
-_SESSIONS = "the sessions of the enclave that its configuration describes"
+CONNECT, ROUTE, IDENTIFY = "connect", "route", "identify"
+_ABOUT_CONFIGURATIONS: Mapping[str, tuple[str, str]] = {
+    CONNECT: (
+        "the sessions of the enclave that its configuration describes",
+        "a session must exchange messages with the router alone",
+    ),
+    ROUTE: (
+        "all links of the router",
+        "the router must decide on every message, by the certificate of its sender",
+    ),
+    IDENTIFY: (
+        "all certificates of the workspace's authority",
+        "each enclave must have one subject entry with its common name, and nobody else one",
+    ),
+}
+"""What the claims about configurations cover, and what should be, in words, by their action."""
 ASSUMPTIONS: Mapping[str, tuple[str, ...]] = {
     MODEL: (
         "configurations are read and decided as Zenoh 1.10 was measured to do it",
@@ -313,17 +319,24 @@ def prove(task: ProofTask) -> tuple[Claim, ...]:
         KeymintError: a file is missing, cannot be read, or does not rest on the workspace's authorities; or Zenoh
             cannot express a rule of the policy.
     """
-    if is_router(task.package):
+    package, enclave = task.package, task.enclave
+    if is_router(package):
         return ()
-    enclave = task.enclave
     if found := differences(enclave):
         raise KeymintError.of(found)
-    router = common_name(router_of(task.package))
-    session = read(enclave_file(enclave.files, enclave.folder, SESSION), f"{enclave.folder}/{SESSION}")
+    router, file = common_name(router_of(package)), f"{enclave.folder}/{SESSION}"
+    session = read(enclave_file(enclave.files, enclave.folder, SESSION), file)
     model = router_access(enclave.shared[ROUTER], f"{enclave.shared_folder}/{ROUTER}")
     at_router = model.of_certificate(first_common_name(enclave.files[CERTIFICATE]))
     at_session = AccessModel(session.access_control).of_certificate(router)
-    return (*prove_rights(task, at_router, at_session), _connects(task, session, router))
+    rights = tuple(prove_rights(task, at_router, at_session))
+    refuting = (
+        *configurations.by_itself(session, package, file),
+        *configurations.open_default(session, file),
+        *configurations.pin_findings(session, router, file),
+    )
+    unmodelled = configurations.unmodelled_setting(session, router=False)
+    return (*rights, configuration_claim(CONNECT, package.subject, refuting, unmodelled, package.grant.domains))
 
 
 # All enclaves rest on the same file.
@@ -337,38 +350,19 @@ def router_access(content: bytes, file: str) -> AccessModel:
     return AccessModel(read(content, file).access_control)
 
 
-def _connects(task: ProofTask, session: Configuration, router: str) -> Claim:
-    """Return the claim that sessions exchange messages with the router alone."""
-    package, file = task.package, f"{task.enclave.folder}/{SESSION}"
-    found = (
-        *configurations.by_itself(session, package, file),
-        *configurations.open_default(session, file),
-        *configurations.pin_findings(session, router, file),
-    )
-    unmodelled, domains = configurations.unmodelled_setting(session, router=False), package.grant.domains
-    return configuration_claim(CONNECT, package.subject, _SESSIONS, found, _EXPECTED, unmodelled, domains)
-
-
 def configuration_claim(
-    action: str,
-    subject: str,
-    universe: str,
-    found: Sequence[Diagnostic],
-    expected: str,
-    unmodelled: str = "",
-    domains: tuple[DomainRange, ...] = (),
+    action: str, subject: str, found: Sequence[Diagnostic], unmodelled: str = "", domains: tuple[DomainRange, ...] = ()
 ) -> Claim:
     """Return a claim about a configuration, which the first finding on it refutes.
 
     Args:
-        action: the action of the claim.
+        action: the action of the claim, one of :data:`_ABOUT_CONFIGURATIONS`.
         subject: whom it is about; empty for all.
-        universe: what it covers, in words.
         found: what refutes it.
-        expected: what should be, in words.
         unmodelled: why it is unknown; empty if it is not.
         domains: the domains that it covers.
     """
+    universe, expected = _ABOUT_CONFIGURATIONS[action]
     if not found:
         return Claim(MODEL, action, domains, universe, Proof.UNKNOWN if unmodelled else Proof.PROVEN, unmodelled)
     first, more = found[0], len(found) - 1

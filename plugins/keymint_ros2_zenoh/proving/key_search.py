@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import string
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 
 from comarmor.patterns.decision_lists import BudgetError, Equal, ProofResult, SearchBudget, Unknown, Witness
@@ -163,7 +163,7 @@ class Automaton:
         if key not in self._known:
             first, rest = chunks[0], self._chunks(chunks[1:])
             if first == ANY_CHUNKS:
-                node = self._any_chunks(rest)
+                node = self._any_text(rest, starts=True, whole=True)
             elif first == ANY_CHUNK:
                 node = self._node({}, ((START, self._repeat(IN_CHUNK, self._text("/", rest))),))
             else:
@@ -177,7 +177,7 @@ class Automaton:
         if parts and chunk.startswith(VERBATIM):
             return self._node({}, ())  # compared as it is, and no literal key has a "$*"
         for part in reversed(parts):
-            rest = self._repeat(IN_CHUNK, rest) if not part else self._repeat(IN_CHUNK, self._text(part, rest))
+            rest = self._repeat(IN_CHUNK, self._text(part, rest))
         return self._text(first, rest) if first else self._not_verbatim(rest)
 
     def _rest(self, tokens: tuple[str | Charset | Star, ...], *, starts: bool) -> int:
@@ -221,33 +221,24 @@ class Automaton:
         chars = {char: after for char, after in own.chars.items() if char not in (VERBATIM, "/")}
         return self._node(chars, tuple((members.intersection(START), after) for members, after in own.sets))
 
-    def _any_chunks(self, rest: int) -> int:
-        """Return the node of any number of chunks that are not verbatim, and the rest."""
-        key = ("any chunks", rest)
-        if key not in self._known:
-            own = self._nodes[rest]
-            start, inside = len(self._nodes), len(self._nodes) + 1
-            self._known[key] = start
-            self._add(_Node(own.chars, (*own.sets, (START, inside)), own.accepts))
-            self._add(_Node({"/": (start,)}, ((IN_CHUNK, inside),), accepts=False))
-        return self._known[key]
-
-    def _any_text(self, rest: int, *, starts: bool) -> int:
+    def _any_text(self, rest: int, *, starts: bool, whole: bool = False) -> int:
         """Return the node of any text without empty and verbatim chunks, and the rest.
 
         Args:
             rest: the node of the rest.
             starts: the text begins a chunk.
+            whole: the text is any number of whole chunks, so that the rest begins a chunk.
         """
-        key = ("any text", rest, starts)
+        key = ("any text", rest, starts, whole)
         if key not in self._known:
             own = self._nodes[rest]
             start, inside = len(self._nodes), len(self._nodes) + 1
-            self._known["any text", rest, True] = start
-            self._known["any text", rest, False] = inside
+            self._known["any text", rest, True, whole] = start
+            self._known["any text", rest, False, whole] = inside
             self._add(_Node(own.chars, (*own.sets, (START, inside)), own.accepts))
-            slash = {**own.chars, "/": (*own.chars.get("/", ()), start)}
-            self._add(_Node(slash, (*own.sets, (IN_CHUNK, inside)), own.accepts))
+            within = _Node({}, (), accepts=False) if whole else own
+            slash = {**within.chars, "/": (*within.chars.get("/", ()), start)}
+            self._add(_Node(slash, (*within.sets, (IN_CHUNK, inside)), within.accepts))
         return self._known[key]
 
     def _add(self, node: _Node) -> int:
@@ -275,13 +266,6 @@ _SHARE = 8
 """Nodes that are followed by a character at the cost of one step."""
 
 
-@dataclass(frozen=True, slots=True)
-class _State:
-    left: Side
-    right: Side
-    where: int
-
-
 def difference(automaton: Automaton, left: Side, right: Side, budget: SearchBudget) -> ProofResult:
     """Compare two sides over all literal keys whose names are legal ROS names.
 
@@ -302,32 +286,26 @@ def difference(automaton: Automaton, left: Side, right: Side, budget: SearchBudg
 def _search(automaton: Automaton, left: Side, right: Side, budget: SearchBudget) -> ProofResult:
     count_state = budget.state_counter()
     sets = (*automaton.sets(), IN_CHUNK, START, _LETTERS)
-    start = _State(left, right, _FIRST)
+    start = (left, right, _FIRST)
     seen, todo = {start}, deque([(start, "")])
     while todo:
-        state, word = todo.popleft()
+        (left, right, where), word = todo.popleft()
         count_state()
-        if state.where in (_NAME, _FREE):
-            permitted = _permits(automaton, state.left)
-            if permitted is not _permits(automaton, state.right):
+        if where in (_NAME, _FREE):
+            permitted = _permits(automaton, left)
+            if permitted is not _permits(automaton, right):
                 return Witness(word[:-1], permitted)
-        nodes = tuple(_nodes(state))
+        nodes = [node for entry in (*left, *right) for side in entry for node in side]
         for char in _letters(automaton.explicit(nodes), sets):
-            where = _next(state.where, char)
-            if where is None:
+            after = _next(where, char)
+            if after is None:
                 continue
             spend(1 + len(nodes) // _SHARE)
-            following = _State(_step(automaton, state.left, char), _step(automaton, state.right, char), where)
-            if following.left != following.right and following not in seen:
+            following = (_step(automaton, left, char), _step(automaton, right, char), after)
+            if following[0] != following[1] and following not in seen:
                 seen.add(following)
                 todo.append((following, word + char))
     return Equal()
-
-
-def _nodes(state: _State) -> Iterator[int]:
-    for allowed, denied in (*state.left, *state.right):
-        yield from allowed
-        yield from denied
 
 
 def side_of(entries: Iterable[tuple[Nodes, Nodes]]) -> Side:

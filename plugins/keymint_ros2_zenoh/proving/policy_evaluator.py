@@ -11,7 +11,6 @@ from comarmor.patterns import glob
 from comarmor.patterns.glob import Glob, matches
 from comarmor.patterns.tokens import Charset, charset
 from comarmor.rules import Effect, suffixes
-from comarmor.values import dataclass
 from keymint.api import PolicyDecision
 from keymint.api.graph import Edge, Object
 from keymint.ir import Rule, SubjectRules
@@ -25,23 +24,12 @@ _KIND = {
 _ROS_NAMES = charset((ord(char), ord(char)) for char in ALPHABET)
 
 
-@dataclass(frozen=True, slots=True)
-class KeyMeaning:
-    """What a literal key is about.
+def meaning_of(key: str) -> tuple[int, str, permissions.Place] | None:
+    """Return what a literal key is about, or None for a key that no topic or service has.
 
-    Attributes:
-        domain: the domain id.
-        name: the topic or service.
-        place: which of its keys it is.
+    Returns:
+        The domain id, the topic or service, and which of its keys it is.
     """
-
-    domain: int
-    name: str
-    place: permissions.Place
-
-
-def meaning_of(key: str) -> KeyMeaning | None:
-    """Return the name that a key is about, or None for a key that no topic or service has."""
     chunks = key.split("/")
     place = permissions.Place.DATA
     if permissions.ADVANCED in chunks:
@@ -49,16 +37,17 @@ def meaning_of(key: str) -> KeyMeaning | None:
     domain, *name = chunks[: -len(permissions.TYPE_AND_HASH)] or ("",)
     if not name or not domain.isdecimal() or any(chunk.startswith(VERBATIM) for chunk in chunks):
         return None
-    return KeyMeaning(int(domain), f"/{'/'.join(name)}", place) if str(int(domain)) == domain else None
+    return (int(domain), f"/{'/'.join(name)}", place) if str(int(domain)) == domain else None
 
 
 def edges(subject: str, key: str, message: Message, flow: Flow) -> Iterator[Edge]:
     """Yield the edges that need a message on a key, topics before services."""
     meaning = meaning_of(key)
     if meaning is not None:
-        users = permissions.USERS[permissions.Slot(message, flow, meaning.place)]
-        for permission in (each for each in _KIND if each in users):
-            yield Edge(subject, permission, Object(_KIND[permission], meaning.name), meaning.domain)
+        domain, name, place = meaning
+        for permission, kind in _KIND.items():
+            if permission in permissions.USERS[permissions.Slot(message, flow, place)]:
+                yield Edge(subject, permission, Object(kind, name), domain)
 
 
 def decide(rules: SubjectRules, domains: tuple[int, ...], key: str, message: Message, flow: Flow) -> PolicyDecision:

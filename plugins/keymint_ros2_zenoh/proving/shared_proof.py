@@ -23,9 +23,9 @@ from keymint_ros2_zenoh.documents.configuration_reader import read
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, ROUTER
 from keymint_ros2_zenoh.examine import configurations
 from keymint_ros2_zenoh.examine.enclaves import router_differences
-from keymint_ros2_zenoh.identities import common_name
+from keymint_ros2_zenoh.identities import common_name, enclaves_of
 from keymint_ros2_zenoh.lowering.permissions import ADVANCED, TYPE_AND_HASH
-from keymint_ros2_zenoh.proving.enclave_proof import MODEL, configuration_claim, router_access
+from keymint_ros2_zenoh.proving.enclave_proof import IDENTIFY, MODEL, ROUTE, configuration_claim, router_access
 from keymint_ros2_zenoh.settings import ACCESS, is_router
 
 
@@ -142,9 +142,7 @@ def wider(denied: keyexpr.KeyExpr) -> tuple[keyexpr.KeyExpr, ...]:
     return tuple(each for each in found if not keyexpr.includes(denied, each))
 
 
-ROUTE, IDENTIFY, ADDRESS = "route", "identify", "address"
-_ROUTE = "all links of the router"
-_IDENTIFY = "all certificates of the workspace's authority"
+ADDRESS = "address"
 _ADDRESS = "all key expressions that subjects may send, literal or not"
 _SENT = (Message.PUT, Message.DELETE, Message.QUERY)
 """The messages that a router passes on to those whose rights include their key expression."""
@@ -161,37 +159,27 @@ def prove_shared(task: SharedProofTask) -> tuple[Claim, ...]:
     file = f"{task.shared_folder}/{ROUTER}"
     configuration = read(task.shared[ROUTER], file)
     model = router_access(task.shared[ROUTER], file)
-    names = {package.subject: _name(package, task.enclaves) for package in task.packages if not is_router(package)}
-    links = {subject: model.of_certificate(name) for subject, name in names.items()}
-    return (_route(task, configuration, file), _identify(configuration, names, file), *_address(links))
-
-
-def _name(package: Package, enclaves: Mapping[str, Mapping[str, bytes]]) -> str:
-    """Return the common name that an enclave shows, or will show if it is not installed."""
-    pem = enclaves.get(package.subject, {}).get(CERTIFICATE)
-    return common_name(package) if pem is None else first_common_name(pem)
-
-
-def _route(task: SharedProofTask, configuration: Configuration, file: str) -> Claim:
-    """Return the claim that the router decides on every message, and knows who sends it."""
-    routers = [package for package in task.packages if is_router(package)]
-    if len(routers) != 1:
-        return Claim(MODEL, ROUTE, (), _ROUTE, Proof.UNKNOWN, f"the workspace has {len(routers)} packages of routers")
-    found = tuple(configurations.by_itself(configuration, routers[0], file))
-    expected = "the router must decide on every message, by the certificate of its sender"
-    unmodelled = configurations.unmodelled_setting(configuration, router=True)
-    return configuration_claim(ROUTE, routers[0].subject, _ROUTE, found, expected, unmodelled)
-
-
-def _identify(configuration: Configuration, names: Mapping[str, str], file: str) -> Claim:
-    """Return the claim that each enclave has the rights of one entry, and nobody else has any."""
-    found = (
+    names: dict[str, str] = {}  # the common name that each enclave shows, or will show if it is not installed
+    for package in enclaves_of(task.packages):
+        pem = task.enclaves.get(package.subject, {}).get(CERTIFICATE)
+        names[package.subject] = common_name(package) if pem is None else first_common_name(pem)
+    identified = (
         *configurations.open_default(configuration, file),
         *configurations.entries(configuration),
         *configurations.holders(configuration, names, file),
     )
-    expected = "each enclave must have one subject entry with its common name, and nobody else one"
-    return configuration_claim(IDENTIFY, "", _IDENTIFY, found, expected)
+    links = {subject: model.of_certificate(name) for subject, name in names.items()}
+    identify = configuration_claim(IDENTIFY, "", identified)
+    return (_route(task.packages, configuration, file), identify, *_address(links))
+
+
+def _route(packages: Iterable[Package], configuration: Configuration, file: str) -> Claim:
+    """Return the claim that the router decides on every message, and knows who sends it."""
+    routers = [package for package in packages if is_router(package)]
+    if len(routers) != 1:
+        return configuration_claim(ROUTE, "", (), f"the workspace has {len(routers)} packages of routers")
+    found = tuple(configurations.by_itself(configuration, routers[0], file))
+    return configuration_claim(ROUTE, routers[0].subject, found, configurations.unmodelled_setting(configuration, True))
 
 
 def _address(links: Mapping[str, LinkAccess]) -> Iterator[Claim]:
