@@ -9,7 +9,7 @@ messages from the router alone.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -31,7 +31,7 @@ from keymint_ros2_zenoh.documents.configuration import (
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY, ROUTER, SESSION, enclave_folder
 from keymint_ros2_zenoh.identities import check_identity, common_name, enclaves_of, require_distinct_names, router_of
 from keymint_ros2_zenoh.lowering.key_rules import combined_rules, lower_package
-from keymint_ros2_zenoh.settings import BUILD_TYPE, Router, in_endpoint, is_router, settings_of
+from keymint_ros2_zenoh.settings import BUILD_TYPE, in_endpoint, is_router, settings_of
 
 _SESSION_TITLE = (
     "Zenoh session of the enclave {subject}. Written by keymint; edit the sources instead.",
@@ -145,6 +145,7 @@ PROTOCOLS = ("tls",)
 EVERY_KEY = ("**", "**/@adv/**", "@ros2_lv/**")
 """All keys that rmw_zenoh uses: ``**`` matches no chunk that begins with ``@``."""
 _LOCAL = ("localhost", "127.0.0.1", "::1")
+"""Hosts for which a router listens on the loopback interface; for all others it listens on all interfaces."""
 _ROUTER_RULE = "router"
 
 
@@ -157,13 +158,13 @@ def session_configuration(package: Package) -> Configuration:
     settings = settings_of(package)
     name = common_name(router_of(package))
     every_message = AclRule(_ROUTER_RULE, tuple(Message), tuple(Flow), Permission.ALLOW, EVERY_KEY)
-    policy = AclPolicy((_ROUTER_RULE,), (_ROUTER_RULE,))
+    subject, policy = AclSubject(_ROUTER_RULE, (name,)), AclPolicy((_ROUTER_RULE,), (_ROUTER_RULE,))
     return Configuration(
         mode="client",
         connect=(settings.router.endpoint,),
         connect_certificate=_path(package, CERTIFICATE),
         connect_key=_path(package, KEY),
-        access_control=_denying([every_message], [AclSubject(_ROUTER_RULE, (name,))], [policy]),
+        access_control=AccessControl(True, Permission.DENY, (every_message,), (subject,), (policy,)),
         other=SESSION_SETTINGS,
         **_closed(package),
     )
@@ -189,12 +190,14 @@ def router_configuration(package: Package, enclaves: Sequence[tuple[Package, Seq
         rules += own
         if own:
             policies.append(AclPolicy(tuple(rule.id for rule in own), (enclave.subject,)))
+    router = settings_of(package).router
+    host = in_endpoint(router.host) if router.host in _LOCAL else "[::]"
     return Configuration(
         mode="router",
-        listen=(listen_endpoint(settings_of(package).router),),
+        listen=(f"tls/{host}:{router.port}",),
         listen_certificate=_path(package, CERTIFICATE),
         listen_key=_path(package, KEY),
-        access_control=_denying(rules, subjects, policies),
+        access_control=AccessControl(True, Permission.DENY, tuple(rules), tuple(subjects), tuple(policies)),
         other=ROUTER_SETTINGS,
         **_closed(package),
     )
@@ -204,16 +207,6 @@ def _closed(package: Package) -> dict[str, Any]:
     """Return the settings of both ends: they search nobody, and show certificates, whose names and dates count."""
     tls = {"root_ca": _path(package, IDENTITY_CA), "mutual": True, "verify_name": True, "close_expired": True}
     return {"gossip": False, "multicast": False, "protocols": PROTOCOLS, **tls}
-
-
-def _denying(rules: Iterable[AclRule], subjects: Iterable[AclSubject], policies: Iterable[AclPolicy]) -> AccessControl:
-    return AccessControl(True, Permission.DENY, tuple(rules), tuple(subjects), tuple(policies))
-
-
-def listen_endpoint(router_: Router) -> str:
-    """Return where a router listens: on the loopback interface if its host is there, else on all interfaces."""
-    host = in_endpoint(router_.host) if router_.host in _LOCAL else "[::]"
-    return f"tls/{host}:{router_.port}"
 
 
 def _path(package: Package, file: str) -> str:

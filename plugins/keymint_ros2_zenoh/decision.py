@@ -73,13 +73,33 @@ class AccessModel:
         self._entries: dict[_Properties, _Entry] = {}
         self._any_name: list[_Properties] = []
         self._of_name: dict[str, list[_Properties]] = {}
-        if access_control.enabled:
-            self._read(access_control)
+        if not access_control.enabled:
+            return
+        rules = {rule.id: rule for rule in access_control.rules}
+        subjects = {subject.id: subject for subject in access_control.subjects}
+        depending = (subject for subject in access_control.subjects if subject.depends_on_more)
+        self._depending = sorted(depending, key=lambda subject: not subject.cert_common_names)
+        applying: dict[_Properties, dict[str, AclRule]] = {
+            properties: {} for subject in access_control.subjects for properties in _properties(subject)
+        }
+        for policy in access_control.policies:
+            own = {name: rules[name] for name in policy.rules}
+            for properties in {each for name in policy.subjects for each in _properties(subjects[name])}:
+                applying[properties].update(own)
+        for properties, own in applying.items():
+            self._entries[properties] = tuple(own.values())
+            name = properties[0]
+            (self._any_name if name is None else self._of_name.setdefault(name, [])).append(properties)
 
     def on(self, link: Link) -> LinkAccess:
         """Return the decisions on a link."""
-        candidates = self._candidates(link.common_name)
-        return LinkAccess(self._control, [self._entries[each] for each in candidates if _matches(each, link)])
+        values = (link.common_name, link.username, link.interface, link.protocol, link.zid)
+        matching = (
+            entry
+            for entry in self._candidates(link.common_name)
+            if all(given is None or given == value for given, value in zip(entry, values, strict=True))
+        )
+        return LinkAccess(self._control, [self._entries[each] for each in matching])
 
     def of_certificate(self, common_name: str) -> LinkAccess:
         """Return the decisions on links of which only the certificate is known: any other property may match."""
@@ -89,23 +109,6 @@ class AccessModel:
 
     def _candidates(self, common_name: str) -> Sequence[_Properties]:
         return *self._of_name.get(common_name, ()), *self._any_name
-
-    def _read(self, control: AccessControl) -> None:
-        rules = {rule.id: rule for rule in control.rules}
-        subjects = {subject.id: subject for subject in control.subjects}
-        depending = (subject for subject in control.subjects if subject.depends_on_more)
-        self._depending = sorted(depending, key=lambda subject: not subject.cert_common_names)
-        applying: dict[_Properties, dict[str, AclRule]] = {
-            properties: {} for subject in control.subjects for properties in _properties(subject)
-        }
-        for policy in control.policies:
-            own = {name: rules[name] for name in policy.rules}
-            for properties in {each for name in policy.subjects for each in _properties(subjects[name])}:
-                applying[properties].update(own)
-        for properties, own in applying.items():
-            self._entries[properties] = tuple(own.values())
-            name = properties[0]
-            (self._any_name if name is None else self._of_name.setdefault(name, [])).append(properties)
 
 
 class LinkAccess:
@@ -192,11 +195,6 @@ def _properties(subject: AclSubject) -> Iterable[_Properties]:
     return product(*(values or (None,) for values in subject.properties))
 
 
-def _matches(properties: _Properties, link: Link) -> bool:
-    values = (link.common_name, link.username, link.interface, link.protocol, link.zid)
-    return all(given is None or given == value for given, value in zip(properties, values, strict=True))
-
-
 def _applying(entry: _Entry, permission: Permission, message: Message, flow: Flow) -> _Applying:
     own = (rule for rule in entry if rule.permission is permission and message in rule.messages and flow in rule.flows)
     return [(rule, parse(text)) for rule in own for text in rule.key_exprs]
@@ -266,11 +264,7 @@ def names_host(certificate: x509.Certificate, host: str) -> bool:
     try:
         return ip_address(host) in names.get_values_for_type(x509.IPAddress)
     except ValueError:
-        listed: Sequence[str] = names.get_values_for_type(x509.DNSName)
-        return any(_matches_host(name.lower(), host.lower()) for name in listed)
-
-
-def _matches_host(name: str, host: str) -> bool:
-    """Compare a name with a host; ``*`` stands for its first label (RFC 6125, 6.4.3), of three at least (rustls)."""
-    domain = host.partition(".")[2]
-    return name == host or ("." in domain and name == f"*.{domain}")
+        listed = {name.lower() for name in names.get_values_for_type(x509.DNSName)}
+        domain = host.lower().partition(".")[2]
+        # "*" stands for the first label of a name (RFC 6125, 6.4.3), of three at least (rustls).
+        return host.lower() in listed or ("." in domain and f"*.{domain}" in listed)

@@ -46,7 +46,15 @@ def _refused(package: Package) -> Iterator[_Defect]:
         yield "zenoh-key-token", message, identity.origin, "leave out <pkcs11>"
     for authority in package.issuers:
         yield from _curve(authority.certificate, f"the key of the authority {authority.name!r}")
-    yield from _signatures(package)
+    # rustls does not verify the signature with SHA-512 by an EC key, which certificates below the root may have.
+    signed = [identity, *(authority.certificate for authority in package.issuers)]
+    for certificate, authority in zip(signed, package.issuers, strict=False):
+        if authority.certificate.key.algorithm == "ec" and certificate.hash_algorithm == _REFUSED_WITH_EC:
+            message = (
+                f"the authority {authority.name!r} has an EC key and signs this certificate with SHA512, which Zenoh "
+                "refuses"
+            )
+            yield "zenoh-key-hash", message, certificate.origin, "use SHA256 or SHA384"
     needed = _SERVER if is_router(package) else _CLIENT
     for extension, usages in _listed(package, "extendedKeyUsage"):
         if needed not in usages:
@@ -60,18 +68,6 @@ def _curve(certificate: CertificateSpec, what: str) -> Iterator[_Defect]:
     if certificate.key.algorithm == "ec" and certificate.key.curve not in _CURVES:
         message = f"{what} is on the curve {certificate.key.curve}, which Zenoh refuses"
         yield "zenoh-key-curve", message, certificate.origin, "use prime256v1 or secp384r1, or RSA"
-
-
-def _signatures(package: Package) -> Iterator[_Defect]:
-    """Yield the certificates below the root that an EC key signs with SHA-512, which rustls does not verify."""
-    signed = [package.identity, *(authority.certificate for authority in package.issuers)]
-    for certificate, authority in zip(signed, package.issuers, strict=False):
-        if authority.certificate.key.algorithm == "ec" and certificate.hash_algorithm == _REFUSED_WITH_EC:
-            message = (
-                f"the authority {authority.name!r} has an EC key and signs this certificate with SHA512, which Zenoh "
-                "refuses"
-            )
-            yield "zenoh-key-hash", message, certificate.origin, "use SHA256 or SHA384"
 
 
 def _host(package: Package) -> Iterator[_Defect]:

@@ -240,11 +240,7 @@ def _chunks_meet(left: str, right: str) -> bool:
         return ANY_CHARACTERS in right and _text_includes(right, left)
     if ANY_CHARACTERS not in right:
         return _text_includes(left, right)
-    return _texts_meet(left, right)
-
-
-def _texts_meet(left: str, right: str) -> bool:
-    """Return whether some text matches both chunks, each of which contains ``$*``: only their ends can differ."""
+    # Each contains "$*", so that only their ends can differ.
     head, head2 = left.partition(ANY_CHARACTERS)[0], right.partition(ANY_CHARACTERS)[0]
     tail, tail2 = left.rpartition(ANY_CHARACTERS)[2], right.rpartition(ANY_CHARACTERS)[2]
     heads = head.startswith(head2) or head2.startswith(head)

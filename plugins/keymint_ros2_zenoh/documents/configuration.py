@@ -175,7 +175,7 @@ class Configuration:
         close_expired: a link ends when the certificate of the other side expires.
         access_control: the access control.
         other: settings that this type has no attribute for, by their path (``transport/unicast/max_sessions``).
-        places: places of the settings that were read, by their path.
+        places: places of the settings that were read, by their path; that of the empty path is the file.
     """
 
     mode: str = _setting("mode", "peer")
@@ -200,18 +200,15 @@ class Configuration:
         """Return the settings that have an attribute, by their path."""
         return {path: getattr(self, attribute) for path, attribute in SETTINGS.items()}
 
-    def place(self, path: str, file: str) -> Origin:
-        """Return the place of a setting, or of the closest one around it, or the file.
+    def place(self, path: str) -> Origin:
+        """Return the place of a setting of a configuration that was read, or of the closest one around it, or the file.
 
         Args:
             path: path of the setting, e.g. ``scouting/gossip/enabled``.
-            file: the file as the user would type it.
         """
-        while path:
-            if path in self.places:
-                return self.places[path]
+        while path not in self.places:
             path = path.rpartition("/")[0]
-        return Origin(file)
+        return self.places[path]
 
 
 SETTINGS: Mapping[str, str] = {each.metadata["path"]: each.name for each in fields(Configuration) if each.metadata}
@@ -253,22 +250,16 @@ def write(configuration: Configuration, title: Sequence[str]) -> bytes:
     """
     given = configuration.settings().items()
     settings = {path: value for path, value in given if value not in ("", ()) or path.endswith("/endpoints")}
-    tree = _tree(settings | dict(sorted(configuration.other.items())))
-    members = [f"  {_text(key)}: {_value(value, 2)}" for key, value in tree.items()]
-    members.append(_access_control(configuration.access_control))
-    return "\n".join([*(f"// {line}".rstrip() for line in title), "{", ",\n".join(members), "}", ""]).encode()
-
-
-def _tree(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return settings by path as nested objects."""
-    tree: dict[str, Any] = {}
-    for path, value in settings.items():
+    tree: dict[str, Any] = {}  # the settings as nested objects
+    for path, value in (settings | dict(sorted(configuration.other.items()))).items():
         *parents, name = path.split("/")
         place = tree
         for parent in parents:
             place = place.setdefault(parent, {})
         place[name] = value
-    return tree
+    members = [f"  {_text(key)}: {_value(value, 2)}" for key, value in tree.items()]
+    members.append(_access_control(configuration.access_control))
+    return "\n".join([*(f"// {line}".rstrip() for line in title), "{", ",\n".join(members), "}", ""]).encode()
 
 
 def _access_control(control: AccessControl) -> str:

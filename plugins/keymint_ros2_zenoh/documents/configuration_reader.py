@@ -96,7 +96,7 @@ class _Reading:
         self._lines = lines
         self._found: dict[str, Any] = {}
         self._other: dict[str, Any] = {}
-        self._places: dict[str, Origin] = {}
+        self._places = {"": Origin(name)}
         self._collect((), document)
 
     def _place(self, *path: str | int) -> Origin:
@@ -142,7 +142,10 @@ class _Reading:
             enabled=members.get("enabled") or False,
             default_permission=Permission(members.get("default_permission") or "deny"),
             rules=tuple(self._rule(item, where) for item, where in self._items("rules")),
-            subjects=tuple(self._subject(item, where) for item, where in self._items("subjects")),
+            subjects=tuple(
+                AclSubject(item["id"], **{name: _texts(item, name) for name in PROPERTIES}, where=where)
+                for item, where in self._items("subjects")
+            ),
             policies=tuple(
                 AclPolicy(_texts(item, "rules"), _texts(item, "subjects"), where)
                 for item, where in self._items("policies")
@@ -176,11 +179,6 @@ class _Reading:
             key_exprs=_texts(item, "key_exprs"),
             where=where,
         )
-
-    @staticmethod
-    def _subject(item: Mapping[str, Any], where: Origin) -> AclSubject:
-        properties = {name: _texts(item, name) for name in PROPERTIES}
-        return AclSubject(item["id"], **properties, where=where)
 
     def _ids(self, control: AccessControl) -> Iterator[Diagnostic]:
         """Yield ids that occur twice and ids that nothing has; Zenoh refuses both at start."""

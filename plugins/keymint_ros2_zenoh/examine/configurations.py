@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
-from itertools import chain
 from typing import Any
 
 from comarmor.errors import Diagnostic, Origin, Severity
@@ -52,23 +51,22 @@ _SETTINGS: Mapping[str, tuple[str, str]] = {
 """The settings on which access depends: the code of the finding, and what another value does."""
 
 
-def as_built(found: Configuration, expected: Configuration, file: str) -> Iterator[Diagnostic]:
+def as_built(found: Configuration, expected: Configuration) -> Iterator[Diagnostic]:
     """Yield the settings that are not those of the sources.
 
     Args:
         found: the installed configuration.
         expected: what the sources build.
-        file: the installed file as the user would type it.
     """
     wanted = expected.settings()
     for path, value in found.settings().items():
         if value != wanted[path]:
-            yield _setting(found, path, f"{_shown(value)}, expected {_shown(wanted[path])}", file)
+            yield _setting(found, path, f"{_shown(value)}, expected {_shown(wanted[path])}")
     for path in sorted(found.other.keys() | expected.other.keys()):
         value, other = found.other.get(path), expected.other.get(path)
         if value != other:
             message = f"{path} is {_shown(value)}, expected {_shown(other)}"
-            yield Diagnostic("zenoh-setting", Severity.WARNING, message, found.place(path, file))
+            yield Diagnostic("zenoh-setting", Severity.WARNING, message, found.place(path))
 
 
 def check_findings(
@@ -91,31 +89,26 @@ def check_findings(
     except KeymintError as error:
         yield from error.diagnostics
         return
-    usual = (
-        as_built(found, read(built, file), file),
-        open_default(found, file),
-    )
-    for each in (*chain(*usual), *entries(found), *more(found)):
+    for each in (*as_built(found, read(built, file)), *open_default(found), *entries(found), *more(found)):
         yield replace(each, help=each.help or help_)
 
 
-def by_itself(found: Configuration, package: Package, file: str) -> Iterator[Diagnostic]:
+def by_itself(found: Configuration, package: Package) -> Iterator[Diagnostic]:
     """Yield the settings that let messages pass the router, or reach it without an identity.
 
     Args:
         found: the installed configuration.
         package: the package of the enclave, or of the router.
-        file: the installed file as the user would type it.
     """
     values = found.settings()
     for path, wanted in required_settings(package).items():
         if values[path] != wanted:
-            yield _setting(found, path, f"not {_shown(wanted) if wanted != () else 'empty'}", file)
+            yield _setting(found, path, f"not {_shown(wanted) if wanted != () else 'empty'}")
     if not found.protocols or not set(found.protocols) <= set(AUTHENTICATED):
-        yield _setting(found, "transport/link/protocols", f"not limited to {' and '.join(AUTHENTICATED)}", file)
+        yield _setting(found, "transport/link/protocols", f"not limited to {' and '.join(AUTHENTICATED)}")
     plain = (each.partition("/")[0] in AUTHENTICATED and not {"?", "#"} & set(each) for each in found.listen)
     if is_router(package) and not all(plain):
-        yield _setting(found, "listen/endpoints", f"not {_PLAIN}", file)
+        yield _setting(found, "listen/endpoints", f"not {_PLAIN}")
 
 
 def required_settings(package: Package) -> Mapping[str, Any]:
@@ -156,25 +149,25 @@ def unmodelled_setting(found: Configuration, router: bool) -> str:
     return missing and f"the setting {missing} is missing; what its default does to access is not known"
 
 
-def open_default(found: Configuration, file: str) -> Iterator[Diagnostic]:
+def open_default(found: Configuration) -> Iterator[Diagnostic]:
     """Yield what allows messages that no rule allows."""
     control = found.access_control
     if not control.enabled:
         message = "the access control is off: everything is allowed"
-        yield Diagnostic.error("zenoh-default", message, found.place("access_control", file))
+        yield Diagnostic.error("zenoh-default", message, found.place("access_control"))
     if control.default_permission is not Permission.DENY:
-        where = found.place("access_control/default_permission", file)
+        where = found.place("access_control/default_permission")
         yield Diagnostic.error("zenoh-default", "what no rule names is allowed by default", where)
 
 
-def pin_findings(found: Configuration, router: str, file: str) -> Iterator[Diagnostic]:
+def pin_findings(found: Configuration, router: str) -> Iterator[Diagnostic]:
     """Yield that a session has other subjects than the router, which has this common name."""
     if [subject.cert_common_names for subject in found.access_control.subjects] != [(router,)]:
         message = (
             f"the only subject of its access control must be the router, {quote(router)}: otherwise others can stand "
             "for the router"
         )
-        yield Diagnostic.error("zenoh-router-pin", message, found.place("access_control/subjects", file))
+        yield Diagnostic.error("zenoh-router-pin", message, found.place("access_control/subjects"))
 
 
 def entries(found: Configuration) -> Iterator[Diagnostic]:
@@ -186,13 +179,12 @@ def entries(found: Configuration) -> Iterator[Diagnostic]:
             yield Diagnostic.error(*problem, subject.where)
 
 
-def holders(found: Configuration, names: Mapping[str, str], file: str) -> Iterator[Diagnostic]:
+def holders(found: Configuration, names: Mapping[str, str]) -> Iterator[Diagnostic]:
     """Yield common names that have rights and are nobody's, and those that lack an entry or are those of several.
 
     Args:
         found: the router's configuration.
         names: the common name of each subject.
-        file: the installed file as the user would type it.
     """
     named = {name: subject for subject in found.access_control.subjects for name in subject.cert_common_names}
     holding = Counter(names.values())
@@ -200,7 +192,7 @@ def holders(found: Configuration, names: Mapping[str, str], file: str) -> Iterat
         if name not in holding:
             message = f"the common name {quote(name)} has rights, but no package of the workspace has it"
             yield Diagnostic.error("zenoh-subject-unknown", message, entry.where)
-    where = found.place("access_control/subjects", file)
+    where = found.place("access_control/subjects")
     for subject, name in names.items():
         if name not in named:
             message = f"the common name {quote(name)} is missing: {subject} has no rights"
@@ -228,9 +220,9 @@ def _problem(subject: AclSubject, counts: Counter[str]) -> tuple[str, str] | Non
     return None
 
 
-def _setting(found: Configuration, path: str, problem: str, file: str) -> Diagnostic:
+def _setting(found: Configuration, path: str, problem: str) -> Diagnostic:
     code, reason = _SETTINGS[path]
-    return Diagnostic.error(code, f"{path} is {problem}: {reason}", found.place(path, file))
+    return Diagnostic.error(code, f"{path} is {problem}: {reason}", found.place(path))
 
 
 def _shown(value: Any) -> str:

@@ -111,7 +111,7 @@ def check_shared(inspection: Inspection) -> tuple[Diagnostic, ...]:
     names = {package.subject: common_name(package) for package in enclaves_of(inspection.packages)}
 
     def of_router(found: Configuration) -> Iterator[Diagnostic]:
-        yield from configurations.holders(found, names, file)
+        yield from configurations.holders(found, names)
         yield from _installed_names(inspection, names)
 
     return tuple(configurations.check_findings(content, inspection.documents[ROUTER], file, _INSTALL, of_router))
@@ -177,6 +177,6 @@ class _EnclaveCheck(IdentityCheck):
         help_ = f"'keymint build -f {name}' and 'keymint install {name}' write the document of the sources"
         router = common_name(router_of(self._package))
         for each in configurations.check_findings(
-            content, built, file, help_, lambda found: configurations.pin_findings(found, router, file)
+            content, built, file, help_, lambda found: configurations.pin_findings(found, router)
         ):
             yield replace(each, subject=self._subject, help=each.help or help_)

@@ -42,7 +42,14 @@ def lower(
         KeymintError: Zenoh cannot express a rule, or there are too many domains.
     """
     names = name_rules(rules, distro)
-    _require_few(domains, origin)
+    if sum(each.last - each.first + 1 for each in domains) > MAX_DOMAINS:
+        raise KeymintError(
+            f"the subject may join more than {MAX_DOMAINS} domains: Zenoh has no ranges of them, so that each one "
+            "repeats all rules",
+            where=origin,
+            help="name the domains that it needs",
+            code="zenoh-domains",
+        )
     ids = domain_ids(domains)
     return (*_rules(names, ids), *_graph(rules.subject, ids)), tuple(lower_notes(names))
 
@@ -54,38 +61,22 @@ def lower_package(package: Package) -> tuple[tuple[AclRule, ...], tuple[Diagnost
         KeymintError: Zenoh cannot express a rule or the validity of the grant; all defects with their ``file:line``.
     """
     defects, grant = Defects(), package.grant
-    defects.found += _dated(package)
+    rights, identity = grant.validity, package.identity.validity
+    if rights is not None and (rights.not_before > identity.not_before or rights.not_after < identity.not_after):
+        defects.found.append(
+            Diagnostic.error(
+                "zenoh-validity",
+                "the permissions are valid for a shorter time than the certificate, but rights on Zenoh have no dates: "
+                "they end with the certificate",
+                grant.origin,
+                "give the certificate the same validity, or leave out that of the permissions",
+                package.subject,
+            )
+        )
     with defects:
         lowered = lower(grant.rules, package.distro, grant.domains, grant.domains_origin or grant.origin)
     defects.require_none()
     return lowered
-
-
-def _dated(package: Package) -> Iterator[Diagnostic]:
-    """Yield an error for rights that begin later or end earlier than the certificate of the subject."""
-    rights, identity = package.grant.validity, package.identity.validity
-    if rights is None:
-        return
-    if rights.not_before > identity.not_before or rights.not_after < identity.not_after:
-        yield Diagnostic.error(
-            "zenoh-validity",
-            "the permissions are valid for a shorter time than the certificate, but rights on Zenoh have no dates: "
-            "they end with the certificate",
-            package.grant.origin,
-            "give the certificate the same validity, or leave out that of the permissions",
-            package.subject,
-        )
-
-
-def _require_few(domains: Iterable[DomainRange], origin: Origin) -> None:
-    if sum(each.last - each.first + 1 for each in domains) > MAX_DOMAINS:
-        raise KeymintError(
-            f"the subject may join more than {MAX_DOMAINS} domains: Zenoh has no ranges of them, so that each one "
-            "repeats all rules",
-            where=origin,
-            help="name the domains that it needs",
-            code="zenoh-domains",
-        )
 
 
 def domain_ids(domains: Iterable[DomainRange]) -> tuple[int, ...]:

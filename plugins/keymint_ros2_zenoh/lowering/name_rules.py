@@ -10,6 +10,7 @@ expressions too. :func:`deny_wildcards` warns about it.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import chain
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns import glob
@@ -84,7 +85,7 @@ def name_rules(rules: SubjectRules, distro: str) -> NameRules:
     diagnostics: list[Diagnostic] = []
     for rule in rules.rules:
         if not is_dds_infrastructure(rule):
-            for each in _examined(rule):
+            for each in list(_defects(rule)) or _examined(rule):
                 if isinstance(each, NameRule):
                     found[each] = None
                 else:
@@ -128,35 +129,29 @@ def is_dds_infrastructure(rule: Rule) -> bool:
 
 
 def _examined(rule: Rule) -> Iterator[NameRule | _Problem]:
-    """Yield the rules that a rule is made of, and what Zenoh cannot express of it."""
-    defects = list(_defects(rule))
-    yield from defects
-    if not defects:
-        for expression in rule.expressions:
-            yield from _of_expression(expression, rule)
-
-
-def _of_expression(expression: str, rule: Rule) -> Iterator[NameRule | _Problem]:
-    try:
-        pattern = glob.parse(expression)
-    except PatternError as error:
-        first = error.diagnostics[0]
-        yield "expression", Severity.ERROR, first.message, first.help
-        return
-    shown = f"the expression {expression!r} of this {rule.effect} {rule.kind} rule"
-    try:
-        for permission in rule.permissions:
-            for _, part, suffix in parts(rule.kind, permission):
+    """Yield the rules that the expressions of a rule make, and what Zenoh cannot express of them."""
+    for expression in rule.expressions:
+        try:
+            pattern = glob.parse(expression)
+        except PatternError as error:
+            first = error.diagnostics[0]
+            yield "expression", Severity.ERROR, first.message, first.help
+            continue
+        shown = f"the expression {expression!r} of this {rule.effect} {rule.kind} rule"
+        try:
+            for _, part, suffix in chain.from_iterable(parts(rule.kind, each) for each in rule.permissions):
                 own = glob.surround("", pattern, suffix)
                 if key_exprs(own):
                     yield NameRule(rule.effect, part, own, rule)
-    except TooManyAlternativesError as error:
-        message = f"key expressions have no '?' and no brackets, and without them {shown} cannot be written: {error}"
-        yield "zenoh-expression", Severity.ERROR, message, "write '*', or list the names"
-        return
-    if not matches_ros_name(pattern):
-        message = f"{shown} matches no name: no ROS object can have such a name"
-        yield "never-matches", Severity.WARNING, message, advice(expression) if expression else "remove it"
+        except TooManyAlternativesError as error:
+            message = (
+                f"key expressions have no '?' and no brackets, and without them {shown} cannot be written: {error}"
+            )
+            yield "zenoh-expression", Severity.ERROR, message, "write '*', or list the names"
+            continue
+        if not matches_ros_name(pattern):
+            message = f"{shown} matches no name: no ROS object can have such a name"
+            yield "never-matches", Severity.WARNING, message, advice(expression) if expression else "remove it"
 
 
 def _defects(rule: Rule) -> Iterator[_Problem]:
@@ -202,24 +197,20 @@ _ASKING = "ros_subscribe"
 
 def deny_wildcards(names: NameRules) -> Iterator[Diagnostic]:
     """Yield a warning for each DENY rule of a subject that an allowed key expression meets without being included."""
-    reported = set()
+    reported, called = set(), names.patterns(Effect.ALLOW, "ros_call")
     for permission in (*SENDING, _ASKING):
         allowed = [each for each in names.rules if (each.effect, each.permission) == (Effect.ALLOW, permission)]
         wild = [(key, each) for each in allowed for key in key_exprs(each.pattern) if not key.is_literal]
         for denial in names.rules:
             if (denial.effect, denial.permission) != (Effect.DENY, permission) or denial.rule.origin in reported:
                 continue
-            if permission == _ASKING and not _answered(names, denial):
+            # A reply about a denied name reaches the subject only if it may call a service of that name.
+            if permission == _ASKING and all(disjoint(denial.pattern, each) for each in called):
                 continue
             found = _met(denial, wild)
             if found:
                 reported.add(denial.rule.origin)
                 yield _warning(denial, *found, names.subject)
-
-
-def _answered(names: NameRules, denial: NameRule) -> bool:
-    """Return whether a reply about a denied name may reach the subject."""
-    return any(not disjoint(denial.pattern, called) for called in names.patterns(Effect.ALLOW, "ros_call"))
 
 
 def _met(denial: NameRule, wild: list[tuple[KeyExpr, NameRule]]) -> tuple[KeyExpr, NameRule] | None:

@@ -324,16 +324,16 @@ def prove(task: ProofTask) -> tuple[Claim, ...]:
         return ()
     if found := differences(enclave):
         raise KeymintError.of(found)
-    router, file = common_name(router_of(package)), f"{enclave.folder}/{SESSION}"
-    session = read(enclave_file(enclave.files, enclave.folder, SESSION), file)
+    router = common_name(router_of(package))
+    session = read(enclave_file(enclave.files, enclave.folder, SESSION), f"{enclave.folder}/{SESSION}")
     model = router_access(enclave.shared[ROUTER], f"{enclave.shared_folder}/{ROUTER}")
     at_router = model.of_certificate(first_common_name(enclave.files[CERTIFICATE]))
     at_session = AccessModel(session.access_control).of_certificate(router)
     rights = tuple(prove_rights(task, at_router, at_session))
     refuting = (
-        *configurations.by_itself(session, package, file),
-        *configurations.open_default(session, file),
-        *configurations.pin_findings(session, router, file),
+        *configurations.by_itself(session, package),
+        *configurations.open_default(session),
+        *configurations.pin_findings(session, router),
     )
     unmodelled = configurations.unmodelled_setting(session, router=False)
     return (*rights, configuration_claim(CONNECT, package.subject, refuting, unmodelled, package.grant.domains))

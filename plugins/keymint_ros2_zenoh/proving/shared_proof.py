@@ -164,21 +164,21 @@ def prove_shared(task: SharedProofTask) -> tuple[Claim, ...]:
         pem = task.enclaves.get(package.subject, {}).get(CERTIFICATE)
         names[package.subject] = common_name(package) if pem is None else first_common_name(pem)
     identified = (
-        *configurations.open_default(configuration, file),
+        *configurations.open_default(configuration),
         *configurations.entries(configuration),
-        *configurations.holders(configuration, names, file),
+        *configurations.holders(configuration, names),
     )
     links = {subject: model.of_certificate(name) for subject, name in names.items()}
     identify = configuration_claim(IDENTIFY, "", identified)
-    return (_route(task.packages, configuration, file), identify, *_address(links))
+    return (_route(task.packages, configuration), identify, *_address(links))
 
 
-def _route(packages: Iterable[Package], configuration: Configuration, file: str) -> Claim:
+def _route(packages: Iterable[Package], configuration: Configuration) -> Claim:
     """Return the claim that the router decides on every message, and knows who sends it."""
     routers = [package for package in packages if is_router(package)]
     if len(routers) != 1:
         return configuration_claim(ROUTE, "", (), f"the workspace has {len(routers)} packages of routers")
-    found = tuple(configurations.by_itself(configuration, routers[0], file))
+    found = tuple(configurations.by_itself(configuration, routers[0]))
     return configuration_claim(ROUTE, routers[0].subject, found, configurations.unmodelled_setting(configuration, True))
 
 

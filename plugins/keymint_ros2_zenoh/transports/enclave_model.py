@@ -171,10 +171,6 @@ class ZenohEnclaveModel:
             return Verdict(allowed=False, reason=self.refusal, where=Origin(self._session_file))
         return _verdict(request, self.at_router(request), self._router_file)
 
-    def label(self, edge: Edge) -> Verdict:
-        """Return the decision on an edge."""
-        return edge_verdict(operations(edge), self.decide, self.decide_at_router)
-
 
 def _verdict(request: OperationRequest, decision: Verdict, file: str) -> Verdict:
     return Verdict(decision.allowed, f"{request}: {decision.reason}", decision.where or Origin(file))
@@ -295,4 +291,5 @@ class SimulatedZenoh(Transport):
         del tier
         models = InstalledModels(enclaves, self.environment)
         for edge in edges:
-            yield edge, models.of(edge.subject).label(edge)
+            model = models.of(edge.subject)
+            yield edge, edge_verdict(operations(edge), model.decide, model.decide_at_router)

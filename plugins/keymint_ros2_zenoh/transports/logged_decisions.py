@@ -58,9 +58,17 @@ class Network:
     def __init__(self, router: enclave_model.InstalledConfiguration, system: ZenohSystem) -> None:
         self.router = system.start(log=zenoh_processes.FILTER)
         self.sessions = system.start(log=zenoh_processes.FILTER)
-        self._ports: Mapping[str, str] = {}
         self._numbers = count()
-        self._open_router(router)
+        listen = router.configuration.listen
+        for attempt in range(_ATTEMPTS):
+            self._ports = {loopback.port(endpoint): str(loopback.free_port()) for endpoint in listen}
+            try:
+                self.router.open(ROUTER, router.file, loopback.router_changes(listen, self._ports) | _paths(router))
+            except ZenohError as error:
+                if attempt == _ATTEMPTS - 1 or "in use" not in str(error):
+                    raise KeymintError(f"Zenoh does not start the router: {error}", code="enclave-refused") from None
+            else:
+                return
 
     def open(self, model: enclave_model.ZenohEnclaveModel, *, conforming: bool = True) -> str:
         """Open a session of an enclave and return its name in commands.
@@ -87,18 +95,6 @@ class Network:
     def close(self, session: str) -> None:
         """Close a session."""
         self.sessions.ask("close", session=session)
-
-    def _open_router(self, files: enclave_model.InstalledConfiguration) -> None:
-        listen = files.configuration.listen
-        for attempt in range(_ATTEMPTS):
-            self._ports = {loopback.port(endpoint): str(loopback.free_port()) for endpoint in listen}
-            try:
-                self.router.open(ROUTER, files.file, loopback.router_changes(listen, self._ports) | _paths(files))
-            except ZenohError as error:
-                if attempt == _ATTEMPTS - 1 or "in use" not in str(error):
-                    raise KeymintError(f"Zenoh does not start the router: {error}", code="enclave-refused") from None
-            else:
-                return
 
 
 def _paths(files: enclave_model.InstalledConfiguration) -> dict[str, object]:

@@ -15,7 +15,7 @@ declaration of its receiver may get lost.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import chain, groupby
 
@@ -238,9 +238,6 @@ def _single(trial: _SampleTrial) -> Verdict:
     return Verdict(allowed=False, reason=f"{logged.reason}; nothing reached {peer}", where=logged.where)
 
 
-_Labeller = Callable[[Network, InstalledModels, Iterable[Edge]], Iterator[tuple[Edge, Verdict]]]
-
-
 class RealZenoh(VendorTransport):
     """Implements :class:`keymint.api.Transport` with the library ``eclipse-zenoh``."""
 
@@ -252,12 +249,11 @@ class RealZenoh(VendorTransport):
     ) -> Iterator[tuple[Edge, Verdict]]:
         """See :meth:`keymint.api.Transport.label`."""
         self.usable().require(tier, "zenoh")
-        return self._label(exchange if tier is Tier.EXCHANGE else logged_decisions, enclaves, edges)
-
-    def _label(
-        self, label: _Labeller, enclaves: Sequence[InstalledEnclave], edges: Iterable[Edge]
-    ) -> Iterator[tuple[Edge, Verdict]]:
         models = InstalledModels(enclaves, self._environment)
-        for install, group in groupby(edges, key=lambda edge: models.enclaves[edge.subject].install):
-            with running_network(models.router(install), self._environment.variables) as network:
-                yield from label(network, models, group)
+
+        def labelled() -> Iterator[tuple[Edge, Verdict]]:
+            for install, group in groupby(edges, key=lambda edge: models.enclaves[edge.subject].install):
+                with running_network(models.router(install), self._environment.variables) as network:
+                    yield from (exchange if tier is Tier.EXCHANGE else logged_decisions)(network, models, group)
+
+        return labelled()

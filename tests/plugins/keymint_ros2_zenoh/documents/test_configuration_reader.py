@@ -97,9 +97,9 @@ def test_other_settings_are_kept_with_their_places() -> None:
     text = b"{\n  mode: 'client',\n  transport: {\n    unicast: {max_links: 2, x: null},\n  },\n  namespace: 'a',\n}"
     configuration = read(text, "r.json5")
     assert configuration.other == {"transport/unicast/max_links": 2, "transport/unicast/x": None, "namespace": "a"}
-    assert configuration.place("transport/unicast/max_links", "r.json5") == Origin("r.json5", 4)
-    assert configuration.place("transport/link/tls", "r.json5") == Origin("r.json5", 3)
-    assert configuration.place("scouting/gossip", "r.json5") == Origin("r.json5")
+    assert configuration.place("transport/unicast/max_links") == Origin("r.json5", 4)
+    assert configuration.place("transport/link/tls") == Origin("r.json5", 3)
+    assert configuration.place("scouting/gossip") == Origin("r.json5")
 
 
 def test_objects_without_members_are_kept_where_their_name_may_say_something() -> None:
