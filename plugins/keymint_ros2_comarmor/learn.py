@@ -48,7 +48,14 @@ def share(needs: Mapping[str, set[Need]]) -> tuple[CommonPart, ...]:
     for _, shared in sorted(_candidates(remaining).items(), key=lambda item: (-len(item[0]), item[0])):
         covered = {subject: frozenset(by_template.values()) for subject, by_template in shared.items()}
         common = frozenset(next(iter(shared.values())))
-        if _saved_bytes(common, covered, remaining) > 0:
+        saved_bytes = -len(fragment(common))
+        for subject, own_needs in covered.items():
+            before, after = (
+                len(profiles({"p": fold(map(literal, needs))}))
+                for needs in (remaining[subject], remaining[subject] - own_needs)
+            )
+            saved_bytes += before - after - INCLUDE_SIZE
+        if saved_bytes > 0:
             for subject, own_needs in covered.items():
                 remaining[subject] -= own_needs
             parts.append(CommonPart(_NAME.format(number=len(parts) + 1), common, covered))
@@ -68,33 +75,13 @@ def _candidates(needs: Mapping[str, set[Need]]) -> dict[tuple[str, ...], dict[st
             best = max(templates(need, subject), key=lambda template: len(holders[template]))
             if len(holders[best]) > 1:
                 groups.setdefault(tuple(sorted(holders[best])), {}).setdefault(subject, {})[best] = need
-    shared = {subjects: _shared_by_all(subjects, group) for subjects, group in groups.items()}
-    return {subjects: group for subjects, group in shared.items() if group}
-
-
-def _shared_by_all(subjects: tuple[str, ...], group: Mapping[str, Mapping[Need, Need]]) -> dict[str, dict[Need, Need]]:
-    """Return the needs that all subjects of a group share; empty if some share theirs better in another group."""
-    if len(group) < len(subjects):
-        return {}
-    common = frozenset.intersection(*(frozenset(by_template) for by_template in group.values()))
-    if not common:
-        return {}
-    return {subject: {each: by_template[each] for each in common} for subject, by_template in group.items()}
-
-
-def _saved_bytes(
-    common: frozenset[Need], covered: Mapping[str, frozenset[Need]], remaining: Mapping[str, set[Need]]
-) -> int:
-    """Return the bytes that a common part saves."""
-    saved = -len(fragment(common))
-    for subject, own in covered.items():
-        before, after = (_profile_size(needs) for needs in (remaining[subject], remaining[subject] - own))
-        saved += before - after - INCLUDE_SIZE
-    return saved
-
-
-def _profile_size(needs: Iterable[Need]) -> int:
-    return len(profiles({"p": fold(map(literal, needs))}))
+    shared: dict[tuple[str, ...], dict[str, dict[Need, Need]]] = {}
+    for subjects, group in groups.items():
+        common = frozenset.intersection(*map(frozenset, group.values()))
+        if common and len(group) == len(subjects):  # otherwise some share theirs better in another group
+            own = {subject: {each: by_template[each] for each in common} for subject, by_template in group.items()}
+            shared[subjects] = own
+    return shared
 
 
 _Request = tuple[str, str, str, tuple[str, ...]]
@@ -122,7 +109,10 @@ def unused_rule_notes(policy: comarmor.Policy, graph: Graph) -> Iterator[Diagnos
     units: dict[Spot, dict[_Unit, bool]] = {}
     needs: dict[str, set[_Request]] = {}
     for edge in graph.edges:
-        needs.setdefault(edge.subject, set()).update(_elementary(edge))
+        needs.setdefault(edge.subject, set()).update(
+            (kind, permission, edge.object.name + suffix, edge.object.partitions or ("",))
+            for kind, permission, suffix in parts(edge.object.kind, edge.permission)
+        )
     for subject in graph.subjects:
         for rule in (rule for profile in policy.applicable(subject) for rule in profile.rules):
             if rule.effect is comarmor.Effect.ALLOW:
@@ -135,11 +125,6 @@ def unused_rule_notes(policy: comarmor.Policy, graph: Graph) -> Iterator[Diagnos
         if subject not in graph.subjects:
             message = f"the policy names {subject}, which the graph does not have"
             yield Diagnostic.note("learn-unused-subject", message, subject=subject)
-
-
-def _elementary(edge: Edge) -> Iterator[_Request]:
-    for kind, permission, suffix in parts(edge.object.kind, edge.permission):
-        yield kind, permission, edge.object.name + suffix, edge.object.partitions or ("",)
 
 
 def _used(rule: comarmor.ProfileRule, subject: str, needs: Iterable[_Request]) -> Iterator[tuple[_Unit, bool]]:

@@ -12,7 +12,6 @@ from pathlib import Path
 
 from lxml import etree
 
-import comarmor
 from comarmor.errors import ComArmorError, Diagnostic, Origin
 from comarmor.language import formatting
 from comarmor.language.attachments import MOST_CHARACTERS
@@ -185,12 +184,20 @@ def policy_of(subjects: Sequence[SubjectRules], name: str, note: str = "") -> tu
     Raises:
         KeymintError: an expression or the name of a subject cannot be written.
     """
-    if too_long := [
-        _too_long(each, rule) for each in subjects for rule in each.rules if _length(rule) > MOST_CHARACTERS
-    ]:
+    message = f"has a name of more than {MOST_CHARACTERS:,} characters, which no policy can hold"
+    too_long = [
+        Diagnostic.error("expression", message, rule.origin, "shorten it", each.subject)
+        for each in subjects
+        for rule in each.rules
+        if max(map(len, (*rule.expressions, *rule.partitions))) > MOST_CHARACTERS
+    ]
+    if too_long:
         raise KeymintError.of(too_long)
     document = profiles({each.subject: _folded(each.rules) for each in subjects}, note.replace("--", "- -"))
-    policy = _read(document, name)
+    try:  # the document includes nothing, so that it may be read from anywhere
+        policy = parse(read_document(document, name, Path("/")))
+    except ComArmorError as error:
+        raise KeymintError.of(error.diagnostics) from None
     return document, tuple(SubjectRules(each.subject, policy.rules(each.subject)) for each in subjects)
 
 
@@ -206,20 +213,3 @@ def _folded(rules: Iterable[Rule]) -> tuple[ProfileRule, ...]:
         )
         found += fold(needs, effect)
     return found
-
-
-def _read(document: bytes, name: str) -> comarmor.Policy:
-    """Return the policy of a document; it includes nothing, so that it may be read from anywhere."""
-    try:
-        return parse(read_document(document, name, Path("/")))
-    except ComArmorError as error:
-        raise KeymintError.of(error.diagnostics) from None
-
-
-def _length(rule: Rule) -> int:
-    return max(map(len, (*rule.expressions, *rule.partitions)))
-
-
-def _too_long(subject: SubjectRules, rule: Rule) -> Diagnostic:
-    message = f"has a name of more than {MOST_CHARACTERS:,} characters, which no policy can hold"
-    return Diagnostic.error("expression", message, rule.origin, "shorten it", subject.subject)

@@ -77,10 +77,10 @@ class _AdminConsoleReader:
         domain = found.strip()
         if not _NUMBER.fullmatch(domain) or int(domain) > MAX_DOMAIN:
             raise self.error(data, f"domain_id is {quote(domain)}, expected a DDS domain id from 0 to {MAX_DOMAIN}")
-        user_data = _octets(_text(data, "user_data/value"))
-        return DiscoveredParticipant(
-            self._guid(data, "key"), int(domain), _text(data, "participant_name/name"), user_data
-        )
+        guid, name, text = self._guid(data, "key"), _text(data, "participant_name/name"), _text(data, "user_data/value")
+        # User data is written as hexadecimal octets or as text.
+        user_data = bytes(int(octet, 16) for octet in text.split(",")) if _HEX.match(text) else text.encode()
+        return DiscoveredParticipant(guid, int(domain), name, user_data)
 
     def _endpoint(self, data: etree._Element) -> DiscoveredEndpoint:
         topic = _text(data, "topic_name")
@@ -104,10 +104,3 @@ class _AdminConsoleReader:
 
 def _text(data: etree._Element, path: str) -> str:
     return (data.findtext(path) or "").strip()
-
-
-def _octets(text: str) -> bytes:
-    """Return user data, which is written as hexadecimal octets or as text."""
-    if _HEX.match(text):
-        return bytes(int(octet, 16) for octet in text.split(","))
-    return text.encode()

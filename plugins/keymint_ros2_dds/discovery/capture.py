@@ -30,7 +30,7 @@ from comarmor.values import dataclass
 from keymint.api import DiscoveredGraph
 from keymint.api.graph import Edge, Graph, Object, is_generated
 from keymint.api.graph_json import legal_node, legal_text, partitions
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import usage_error
 from keymint_ros2_dds.discovery.endpoint_translation import ros_edge
 
 
@@ -193,19 +193,17 @@ def _given(participants: Collection[DiscoveredParticipant], given: Mapping[str, 
     for typed, name in given.items():
         guid = re.sub(r"[.:|\s]", "", typed).lower()
         if not _GUID.match(guid):
-            raise _refused(
+            raise usage_error(
                 f"{typed!r} is not a GUID", "8 to 32 hexadecimal digits, as 'keymint discover -v' shows them"
             )
         if not legal_node(name):
-            raise _refused(f"{name!r} is not the name of a subject", "a name is '/' and segments, e.g. /robot1/talker")
+            raise usage_error(
+                f"{name!r} is not the name of a subject", "a name is '/' and segments, e.g. /robot1/talker"
+            )
         for participant in participants:
             if participant.guid.startswith(guid):
                 names[participant.guid] = name
     return names
-
-
-def _refused(message: str, hint: str) -> KeymintError:
-    return KeymintError(message, help=hint, code="usage", exit_code=ExitCode.USAGE)
 
 
 def discovered_graph(

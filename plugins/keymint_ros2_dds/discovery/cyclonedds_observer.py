@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing
 from ctypes import POINTER, Structure, byref, c_bool, c_char_p, c_int32, c_int64, c_size_t, c_uint32, c_uint64, c_void_p
 from dataclasses import replace
 from functools import cache, partial
 from threading import Event
-from typing import Any, Self
+from typing import Any
 
 from comarmor.errors import Diagnostic
 from keymint.api import Availability, DiscoveredGraph
@@ -134,11 +135,11 @@ def observe(domain: int, go_on: Callable[[], bool], names: Mapping[str, str]) ->
     Raises:
         KeymintError: Cyclone DDS is not installed, or cannot join the domain.
     """
-    try:
-        library()
-    except OSError as error:
-        raise KeymintError(str(error), help=INSTALL, code="discovery-unusable") from None
-    with _Observer(domain) as observer:
+    available = library_availability()
+    if not available.usable:
+        raise KeymintError(available.reason, help=available.help, code="discovery-unusable")
+    with closing(_Observer(domain)) as observer:
+        observer.listen()
         pause = Event()
         while go_on():
             pause.wait(_PAUSE)
@@ -168,31 +169,26 @@ class _Observer:
         self._callbacks: list[Any] = []
         self._own = _checked(library().dds_create_participant(domain, None, None), f"join domain {domain}")
 
-    def __enter__(self) -> Self:
-        try:
-            for topic, take in (
-                (_PARTICIPANTS, self._take_participants),
-                (_PUBLICATIONS, partial(self._take_endpoints, "publish")),
-                (_SUBSCRIPTIONS, partial(self._take_endpoints, "subscribe")),
-            ):
-                self._readers.append((self._listen(topic, take), take))
-        except BaseException:
-            library().dds_delete(self._own)
-            raise
-        return self
+    def listen(self) -> None:
+        """Begin to observe."""
+        self._listen(_PARTICIPANTS, self._take_participants)
+        self._listen(_PUBLICATIONS, partial(self._take_endpoints, "publish"))
+        self._listen(_SUBSCRIPTIONS, partial(self._take_endpoints, "subscribe"))
 
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
+        """Delete the participant."""
         library().dds_delete(self._own)
 
-    def _listen(self, topic: int, take: Callable[[int], None]) -> int:
+    def _listen(self, topic: int, take: Callable[[int], None]) -> None:
         callback = _Callback(lambda reader, _: take(reader))
         self._callbacks.append(callback)  # must live as long as the reader does
         listener = library().dds_create_listener(None)
         try:
             library().dds_lset_data_available(listener, callback)
-            return _checked(library().dds_create_reader(self._own, topic, None, listener), "read a built-in topic")
+            reader = _checked(library().dds_create_reader(self._own, topic, None, listener), "read a built-in topic")
         finally:
             library().dds_delete_listener(listener)
+        self._readers.append((reader, take))
 
     def _take_participants(self, reader: int) -> None:
         for sample in _taken(reader, _Participant):

@@ -8,7 +8,7 @@ the topic's name: ``rt/chatter`` in the default partition. Ardent put prefix and
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 
 from comarmor.regex import lazy_regex
 from comarmor.rules import PARTS, is_fully_qualified, parts
@@ -65,29 +65,20 @@ def interpret(graph: Graph, *, fold: bool) -> Graph:
         graph: objects of any kind; DDS topics that fit no mapping, and halves of services, stay DDS topics.
         fold: combine services and topics into actions and parameters where all parts exist; otherwise split these.
     """
-    edges = set(_unfolded(graph.edges))
-    types = {*graph.types, *_ros_types(graph)}
-    edges = set(_ros_edges(edges))
+    unfolded: set[Edge] = set()
+    for edge in graph.edges:
+        for kind, permission, suffix in parts(edge.object.kind, edge.permission):
+            part = Edge(edge.subject, permission, Object(kind, edge.object.name + suffix), edge.domain)
+            unfolded.add(part if suffix else edge)
+    types = set(graph.types)
+    for object_, name in graph.types:
+        if writer := ros_edge(Edge("", "publish", object_)):
+            types.add((writer.object, ros_type(name, writer.permission)))
+    edges = set(_ros_edges(unfolded))
     if fold:
         edges, types = _folded(edges, types)
     remaining = {edge.object for edge in edges}
     return Graph.of(edges, graph.subjects, (item for item in types if item[0] in remaining))
-
-
-def _unfolded(edges: Iterable[Edge]) -> Iterator[Edge]:
-    for edge in edges:
-        for kind, permission, suffix in parts(edge.object.kind, edge.permission):
-            if suffix:
-                yield Edge(edge.subject, permission, Object(kind, edge.object.name + suffix), edge.domain)
-            else:
-                yield edge
-
-
-def _ros_types(graph: Graph) -> Iterator[tuple[Object, str]]:
-    for object_, name in graph.types:
-        writer = ros_edge(Edge("", "publish", object_))
-        if writer:
-            yield writer.object, ros_type(name, writer.permission)
 
 
 def _ros_edges(edges: set[Edge]) -> Iterator[Edge]:

@@ -20,7 +20,7 @@ from keymint_ros2_dds import subject_names
 from keymint_ros2_dds.lowering.name_mapping import DDS_TOPICS
 from keymint_ros2_dds.reading import signed_governance, signed_permissions
 from keymint_ros2_dds.reading.signed_governance import GovernanceDocument
-from keymint_ros2_dds.reading.signed_permissions import PermissionsDocument
+from keymint_ros2_dds.reading.signed_permissions import DocumentCriteria, PermissionsDocument
 
 _OF_ARDENT = frozenset(topic.prefix for topics in DDS_TOPICS.values() for topic in topics if topic.prefix)
 
@@ -81,7 +81,8 @@ def document_topics(enclave: InstalledEnclave) -> tuple[tuple[str, tuple[str, ..
     """
     found: dict[tuple[str, tuple[str, ...]], None] = {}
     with suppress(KeymintError):
-        found |= dict.fromkeys(_permitted_topics(unverified_permissions(enclave.folder)))
+        for criteria in _criteria(unverified_permissions(enclave.folder)):
+            found |= {(topic, criteria.partitions or ()): None for topic in criteria.topics}
     with suppress(KeymintError):
         signed = installed_file(enclave.folder / layout.GOVERNANCE_P7S)
         governance = signed_governance.read(smime.signed_content(signed, Origin(layout.GOVERNANCE_P7S)))
@@ -90,14 +91,8 @@ def document_topics(enclave: InstalledEnclave) -> tuple[tuple[str, tuple[str, ..
     return tuple(found)
 
 
-def _permitted_topics(document: PermissionsDocument) -> Iterator[tuple[str, tuple[str, ...]]]:
-    return (
-        (topic, criteria.partitions or ())
-        for grant in document.grants
-        for rule in grant.rules
-        for criteria in rule.criteria
-        for topic in criteria.topics
-    )
+def _criteria(document: PermissionsDocument) -> Iterator[DocumentCriteria]:
+    return (criteria for grant in document.grants for rule in grant.rules for criteria in rule.criteria)
 
 
 def distro_of(paths: Iterable[str], content: Callable[[str], bytes | None]) -> str:
@@ -108,16 +103,10 @@ def distro_of(paths: Iterable[str], content: Callable[[str], bytes | None]) -> s
     for path in paths:
         with suppress(KeymintError):
             found = content(path) if path.endswith(f"/{layout.PERMISSIONS_P7S}") else None
-            grants = signed_permissions.read(smime.signed_content(found)).grants if found else ()
-            criteria = (one for grant in grants for rule in grant.rules for one in rule.criteria)
+            criteria = _criteria(signed_permissions.read(smime.signed_content(found))) if found else ()
             if any(name.partition("/")[0] in _OF_ARDENT for one in criteria for name in one.partitions or ()):
                 return "ardent"
     return ""
-
-
-def rules_file(folder: Path) -> Path:
-    """Return the permissions document of an enclave: the unsigned one if it is there, else the signed one."""
-    return folder / (layout.PERMISSIONS_XML if (folder / layout.PERMISSIONS_XML).exists() else layout.PERMISSIONS_P7S)
 
 
 def subject_name(certificate: bytes, where: Origin) -> str:

@@ -76,11 +76,18 @@ class Authentication:
         if issuer is None:
             return f"{layout.CERTIFICATE} is by no authority that is trusted"
         period = certificates.period(certificate)
+        if problem := _outside(f"the certificate in {layout.CERTIFICATE}", *period, self._now):
+            return problem
+        if self._unread:
+            return f"{layout.CRL} is not a revocation list"
         lists = (self._listed, *(self._among if semantics.lists_among_authorities else ()))
-        return (
-            _outside(f"the certificate in {layout.CERTIFICATE}", *period, self._now)
-            or (f"{layout.CRL} is not a revocation list" if self._unread else "")
-            or _revoked(certificate, issuer, [each for each in lists if each is not None], self._now)
+        present = [each for each in lists if each is not None]
+        found = next((each for each in present if revocation_lists.is_by(each, issuer)), None)
+        if found is None:
+            return f"the revocation list in {layout.CRL} is by another authority" if present else ""
+        revoked = found.get_revoked_certificate_by_serial_number(certificate.serial_number)
+        return _outside(f"the revocation list in {layout.CRL}", *revocation_lists.period(found), self._now) or (
+            "" if revoked is None else f"{layout.CRL} revokes the certificate"
         )
 
 
@@ -88,23 +95,6 @@ class Authentication:
 def _is_issued_by(certificate: x509.Certificate, authority: x509.Certificate) -> bool:
     """Return whether an authority issued a certificate; models of all vendors ask it about each."""
     return certificates.is_issued_by(certificate, authority)
-
-
-def _revoked(
-    certificate: x509.Certificate,
-    issuer: x509.Certificate,
-    lists: Sequence[x509.CertificateRevocationList],
-    now: datetime,
-) -> str:
-    if not lists:
-        return ""
-    found = next((each for each in lists if revocation_lists.is_by(each, issuer)), None)
-    if found is None:
-        return f"the revocation list in {layout.CRL} is by another authority"
-    if problem := _outside(f"the revocation list in {layout.CRL}", *revocation_lists.period(found), now):
-        return problem
-    revoked = found.get_revoked_certificate_by_serial_number(certificate.serial_number)
-    return "" if revoked is None else f"{layout.CRL} revokes the certificate"
 
 
 def _outside(what: str, begin: datetime, end: datetime, now: datetime) -> str:
@@ -130,7 +120,8 @@ class EnclaveModel:
     """
 
     def __init__(self, enclave: InstalledEnclave, environment: Environment, domain: int) -> None:
-        self._rules = str(enclave_files.rules_file(enclave.folder))
+        unsigned = enclave.folder / layout.PERMISSIONS_XML
+        self._rules = str(unsigned if unsigned.exists() else enclave.folder / layout.PERMISSIONS_P7S)
         self._now = environment.now
         self._domain = domain
         self._evaluators: dict[str, tuple[DocumentEvaluator, DomainAccess]] = {}

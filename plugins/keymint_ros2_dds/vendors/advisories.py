@@ -16,7 +16,7 @@ from pathlib import Path
 
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import usage_error
 
 AS_OF = "2026-11-23"
 _PACKAGES = {
@@ -97,8 +97,7 @@ def number(version: str) -> tuple[int, ...]:
     """
     found = _VERSION.match(version)
     if found is None:
-        help_ = "write major, minor and patch, e.g. 2.14.1"
-        raise KeymintError(f"{version!r} is no version", help=help_, code="usage", exit_code=ExitCode.USAGE)
+        raise usage_error(f"{version!r} is no version", "write major, minor and patch, e.g. 2.14.1")
     return tuple(map(int, found[0].split(".")))
 
 

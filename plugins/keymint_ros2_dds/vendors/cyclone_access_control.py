@@ -17,10 +17,10 @@ import functools
 import os
 import weakref
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from ctypes import POINTER, Structure, byref, c_char_p, c_int, c_int32, c_int64, c_ubyte, c_uint32, c_void_p
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 from comarmor.values import dataclass
 from keymint_ros2_dds.enclave_layout import PERMISSIONS_CA, authority_file
@@ -59,20 +59,9 @@ _VALIDATE_LOCAL_PERMISSIONS = ctypes.CFUNCTYPE(
     c_int64, c_void_p, c_void_p, c_int64, c_int32, POINTER(_Qos), POINTER(_Exception)
 )
 _CHECK_CREATE_PARTICIPANT = ctypes.CFUNCTYPE(c_ubyte, c_void_p, c_int64, c_int32, POINTER(_Qos), POINTER(_Exception))
-_CHECK_CREATE_ENDPOINT = ctypes.CFUNCTYPE(
-    c_ubyte,
-    c_void_p,
-    c_int64,
-    c_int32,
-    c_char_p,
-    POINTER(_Qos),
-    POINTER(_String),
-    POINTER(_EmptySeq),
-    POINTER(_Exception),
-)
-_CHECK_CREATE_TOPIC = ctypes.CFUNCTYPE(
-    c_ubyte, c_void_p, c_int64, c_int32, c_char_p, POINTER(_Qos), POINTER(_Exception)
-)
+_TOPIC = c_void_p, c_int64, c_int32, c_char_p, POINTER(_Qos)
+_CHECK_CREATE_TOPIC = ctypes.CFUNCTYPE(c_ubyte, *_TOPIC, POINTER(_Exception))
+_CHECK_CREATE_ENDPOINT = ctypes.CFUNCTYPE(c_ubyte, *_TOPIC, POINTER(_String), POINTER(_EmptySeq), POINTER(_Exception))
 
 
 class _Plugin(Structure):
@@ -133,7 +122,7 @@ def _load_first(names: Iterable[str]) -> ctypes.CDLL:
     raise failure
 
 
-class CycloneAccessControl:
+class CycloneAccessControl(AbstractContextManager["CycloneAccessControl"]):
     """Decides what one enclave may do in a domain, by the local checks of the access-control plugin.
 
     Use it as a context manager, or :meth:`close` it: that frees the plugin instance.
@@ -215,9 +204,6 @@ class CycloneAccessControl:
         """Free the plugin instance; it denies everything afterwards."""
         self._handle = 0
         self._finalizer()
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

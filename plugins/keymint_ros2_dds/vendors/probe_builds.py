@@ -20,7 +20,7 @@ import shutil
 import stat
 import subprocess
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -62,7 +62,9 @@ def is_ours_alone(path: Path) -> bool:
     try:
         own = path.lstat()
         ours = stat.S_ISDIR(own.st_mode) and stat.S_IMODE(own.st_mode) == stat.S_IRWXU and own.st_uid == os.geteuid()
-        return ours and all(map(_is_safe, _above(path)))
+        # The parent folders and links of the path as given and as resolved; links are not to be followed.
+        ways = Path(os.path.abspath(path)), path.resolve()  # noqa: PTH100
+        return ours and all(_is_safe(above.lstat()) for way in ways for above in way.parents)
     except OSError:
         return False
 
@@ -79,13 +81,6 @@ def is_ours(program: Path) -> bool:
         and found.st_nlink == 1
         and not found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
     )
-
-
-def _above(path: Path) -> Iterator[os.stat_result]:
-    """Yield the status of each parent folder and link, of the path as given and as resolved."""
-    for way in (Path(os.path.abspath(path)), path.resolve()):  # noqa: PTH100 - links are not to be followed
-        for folder_above in way.parents:
-            yield folder_above.lstat()
 
 
 def _is_safe(found: os.stat_result) -> bool:
@@ -212,13 +207,12 @@ CYCLONE_PACKAGES = ("libddsc0debian", "cyclonedds-dev", "gcc")
 CYCLONEDDS = Probe(
     "Cyclone DDS", "cyclonedds_probe.c", ("gcc", "cc"), "dds/dds.h", ("-std=gnu11", "-lddsc"), CYCLONE_PACKAGES
 )
-CYCLONEDDS_NONCONFORMING = Probe(
-    "Cyclone DDS",
-    "cyclonedds_nonconforming.c",
-    ("gcc", "cc"),
-    "dds/security/dds_security_api.h",
-    ("-std=gnu11", "-shared", "-fPIC"),
-    CYCLONE_PACKAGES,
+_LIBRARY = ("-std=gnu11", "-shared", "-fPIC")
+CYCLONEDDS_NONCONFORMING = replace(
+    CYCLONEDDS,
+    source="cyclonedds_nonconforming.c",
+    header="dds/security/dds_security_api.h",
+    arguments=_LIBRARY,
 )
 """An access-control plugin that lets its own participant do everything; peers see its true permissions."""
 FAST_PACKAGES = ("libfastrtps-dev", "libfastcdr-dev", "g++")
@@ -233,7 +227,7 @@ FASTDDS = Probe(
 FASTDDS_3 = replace(FASTDDS, arguments=("-std=c++17", "-lfastdds", "-lfastcdr"), packages=("g++",))
 """The same source; its headers are not the machine's (:class:`Unpacked`)."""
 FASTDDS_NONCONFORMING = Probe(
-    "Fast DDS", "fastdds_nonconforming.c", ("gcc", "cc"), "stdbool.h", ("-std=gnu11", "-shared", "-fPIC"), FAST_PACKAGES
+    "Fast DDS", "fastdds_nonconforming.c", ("gcc", "cc"), "stdbool.h", _LIBRARY, FAST_PACKAGES
 )
 """A library to preload for the same purpose."""
 
