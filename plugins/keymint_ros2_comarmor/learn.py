@@ -90,20 +90,6 @@ _Unit = tuple[Spot, str]
 """Place of an attachment, and a permission. The place, because the expanded text depends on the subject."""
 
 
-def conflict(edge: Edge, decision: comarmor.Decision) -> Diagnostic | None:
-    """Return a warning if a DENY rule denies an edge, or None if only an ALLOW rule is missing."""
-    denied = next((part for part in decision.parts or (decision,) if not part.allowed and part.rule), None)
-    if denied is None or denied.where is None:
-        return None
-    return Diagnostic.warning(
-        "learn-denied",
-        f"this rule denies {edge.subject} the {edge.permission} on {quote(edge.object.name)} that the graph has",
-        denied.where.alone(),
-        "narrow the rule, or leave it: a DENY wins over every ALLOW",
-        edge.subject,
-    )
-
-
 def unused_rule_notes(policy: comarmor.Policy, graph: Graph) -> Iterator[Diagnostic]:
     """Yield notes on rules that no edge of a graph uses, and on subjects of the policy that the graph does not have."""
     units: dict[Spot, dict[_Unit, bool]] = {}
@@ -190,10 +176,14 @@ def learn(graph: Graph, existing: LoadedPolicy | None, fragments: str) -> Learne
         decision = policy.decide(edge.subject, requested.kind, edge.permission, requested.name, requested.partitions)
         if decision.allowed:
             continue
-        if denied := conflict(edge, decision):
-            conflicts.append(denied)
-        else:
+        # Only a DENY rule is a conflict; without one an ALLOW rule is missing.
+        denied = next((part for part in decision.parts or (decision,) if not part.allowed and part.rule), None)
+        if denied is None or denied.where is None:
             missing.append(edge)
+            continue
+        message = f"this rule denies {edge.subject} the {edge.permission} on {quote(requested.name)} that the graph has"
+        help_ = "narrow the rule, or leave it: a DENY wins over every ALLOW"
+        conflicts.append(Diagnostic.warning("learn-denied", message, denied.where.alone(), help_, edge.subject))
     subjects = [each for each in graph.subjects if policy is None or not policy.applicable(each)]
     granted = needs_of(missing)
     needs = {subject: granted.get(subject, set()) for subject in sorted({*subjects, *granted})}

@@ -61,12 +61,7 @@ def settings(sources: PackageSources) -> PackageSettings:
         KeymintError: the distribution has no rmw_zenoh, or a value is missing or not usable; with ``file:line``.
     """
     part = sources.parts[PART]
-    try:
-        check_distro(sources.distro)
-    except KeymintError as error:
-        raise KeymintError.of(
-            Diagnostic(each.code, each.severity, each.message, part.where, each.help) for each in error.diagnostics
-        ) from None
+    check_distro(sources.distro, part.where)
     values = _values(part, sources.install_space)
     if defects := list(_defects(values)):
         raise KeymintError.of(defects)

@@ -179,14 +179,19 @@ def _batch(
 ) -> Iterator[tuple[Edge, Verdict]]:
     subject, domain = batch[0].subject, batch[0].domain
     enclave, enclave_model = models.enclaves[subject], models.of(subject, domain)
-    trials = _admitted(vendor, model, models, batch)
+    all_needed = dict.fromkeys(endpoint for edge in batch for endpoint in endpoints(enclave.distro, edge))
+    with participant(vendor, models, subject, domain) as opened:
+        admissions = repeat((False, opened)) if isinstance(opened, str) else answers(opened, all_needed)
+        trials = {
+            endpoint: _Trial(endpoint, *answer, _peer(endpoint, models, model))
+            for endpoint, answer in zip(all_needed, admissions, strict=False)
+        }
     with_peer: dict[str, list[_Trial]] = {}
     for trial in trials.values():
         if trial.peer is not None:
             with_peer.setdefault(trial.peer.subject, []).append(trial)
     for group in with_peer.values():
-        _deliver(vendor, enclave, [trial for trial in group if trial.admitted])
-        _intrude(vendor, enclave, group)
+        _try(vendor, enclave, group)
     for edge in batch:
         needed = endpoints(enclave.distro, edge)
         yield edge, enclave_model.verdict(model, needed, (_answer(trials[endpoint]) for endpoint in needed))
@@ -213,42 +218,28 @@ def _peer(endpoint: Edge, models: EnclaveModels, model: Variation) -> InstalledE
     return stranger
 
 
-def _admitted(vendor: Vendor, model: Variation, models: EnclaveModels, batch: Sequence[Edge]) -> dict[Edge, _Trial]:
-    """Return all endpoints of the edges, and whether the vendor admits them to a participant of the subject."""
-    enclave = models.enclaves[batch[0].subject]
-    needed = dict.fromkeys(endpoint for edge in batch for endpoint in endpoints(enclave.distro, edge))
-    with participant(vendor, models, enclave.subject, batch[0].domain) as opened:
-        admissions = repeat((False, opened)) if isinstance(opened, str) else answers(opened, needed)
-        return {
-            endpoint: _Trial(endpoint, *answer, _peer(endpoint, models, model))
-            for endpoint, answer in zip(needed, admissions, strict=False)
-        }
+def _try(vendor: Vendor, enclave: InstalledEnclave, trials: Sequence[_Trial]) -> None:
+    """Try endpoints with the same peer.
 
-
-def _deliver(vendor: Vendor, enclave: InstalledEnclave, trials: Sequence[_Trial]) -> None:
-    """Send a sample over each endpoint between two conforming participants."""
-    if not trials:
-        return
-    with participants(vendor, enclave.subject) as system:
-        pairs = _pairs(system, enclave, trials, conforming=True)
-        for trial, arrives in pairs:
-            trial.delivered = arrives is not None and arrives(DELIVERY_SECONDS)
-
-
-def _intrude(vendor: Vendor, enclave: InstalledEnclave, trials: Sequence[_Trial]) -> None:
-    """Try denied endpoints, with a participant that ignores its own permissions."""
+    Over each admitted one send a sample between two conforming participants. Then try the denied ones, with a
+    participant that ignores its own permissions.
+    """
+    admitted = [trial for trial in trials if trial.admitted]
     denied = [trial for trial in trials if not trial.admitted]
-    if not denied:
-        return
-    with participants(vendor, enclave.subject) as system:
-        shown = [trial for trial in trials if trial.admitted and trial.delivered][:1]
-        pairs = _pairs(system, enclave, [*denied, *shown], conforming=False)
-        known = any(arrives is not None and trial.admitted and arrives(DELIVERY_SECONDS) for trial, arrives in pairs)
-        seconds = SETTLE_SECONDS if known else SILENCE_SECONDS
-        for trial, arrives in pairs:
-            if not trial.admitted and arrives is not None:
-                trial.delivered = arrives(seconds)
-                seconds = 0.01  # time has passed for all of them
+    if admitted:
+        with participants(vendor, enclave.subject) as system:
+            for trial, arrives in _pairs(system, enclave, admitted, conforming=True):
+                trial.delivered = arrives(DELIVERY_SECONDS)
+    if denied:
+        with participants(vendor, enclave.subject) as system:
+            shown = [trial for trial in admitted if trial.delivered][:1]
+            pairs = _pairs(system, enclave, [*denied, *shown], conforming=False)
+            known = any(trial.admitted and arrives(DELIVERY_SECONDS) for trial, arrives in pairs)
+            seconds = SETTLE_SECONDS if known else SILENCE_SECONDS
+            for trial, arrives in pairs:
+                if not trial.admitted:
+                    trial.delivered = arrives(seconds)
+                    seconds = 0.01  # time has passed for all of them
 
 
 _Arrives = Callable[[float], bool]
@@ -257,28 +248,24 @@ _Arrives = Callable[[float], bool]
 
 def _pairs(
     system: System, enclave: InstalledEnclave, trials: Sequence[_Trial], *, conforming: bool
-) -> list[tuple[_Trial, _Arrives | None]]:
-    """Create both ends of each endpoint, in order, and write a sample; None if an end cannot be created."""
+) -> list[tuple[_Trial, _Arrives]]:
+    """Create both ends of each endpoint, in order, and write a sample; an endpoint is left out if an end is refused."""
     domain, peer = trials[0].endpoint.domain, cast("InstalledEnclave", trials[0].peer)
-    pairs: list[tuple[_Trial, _Arrives | None]] = []
+    pairs: list[tuple[_Trial, _Arrives]] = []
     try:
         other = open_participant(system, peer, domain)
         own = open_participant(system, enclave, domain, conforming=conforming)
     except RefusedError:
-        return [(trial, None) for trial in trials]
+        return pairs
     for number, trial in enumerate(trials):
         name, partitions = trial.endpoint.object.name, trial.endpoint.object.partitions
-        permission = trial.endpoint.permission
-        try:
+        permission, text = trial.endpoint.permission, f"{trial.endpoint.subject} {number}"
+        with suppress(DeniedError):
             far = other.edge(_OTHER_END[permission], name, partitions)
             near = own.edge(permission, name, partitions)
-        except DeniedError:
-            pairs.append((trial, None))
-            continue
-        writer, reader = (near, far) if permission == "publish" else (far, near)
-        text = f"{trial.endpoint.subject} {number}"
-        writer.write(text)
-        pairs.append((trial, partial(reader.receives, text)))
+            writer, reader = (near, far) if permission == "publish" else (far, near)
+            writer.write(text)
+            pairs.append((trial, partial(reader.receives, text)))
     return pairs
 
 

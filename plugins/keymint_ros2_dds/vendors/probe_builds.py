@@ -21,6 +21,7 @@ import stat
 import subprocess
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,27 +31,21 @@ from keymint_ros2_dds.vendors import cyclone_access_control
 
 
 def place(cache: Path, name: str) -> Path:
-    """Return the path of a program: in the cache, unless a file there is not trusted.
+    """Return the path of a program: in the cache, or in a private folder of this run.
+
+    It is in the cache, which is created if it is missing, if only this user can write that, and no file there with its
+    name is one that is not trusted.
 
     Args:
         cache: a folder for programs.
         name: the program's.
     """
-    program = folder(cache) / name
-    return program if is_ours(program) or not os.path.lexists(program) else Path(_of_this_run().name) / name
-
-
-def folder(cache: Path) -> Path:
-    """Return the cache, created if missing, if only this user can write it; else a private folder of this run.
-
-    Args:
-        cache: a folder for programs.
-    """
-    try:
+    program = cache / name
+    with suppress(OSError):
         cache.mkdir(mode=0o700, parents=True, exist_ok=True)
-    except OSError:
-        return Path(_of_this_run().name)
-    return cache if is_ours_alone(cache) else Path(_of_this_run().name)
+        if is_ours_alone(cache) and (is_ours(program) or not os.path.lexists(program)):
+            return program
+    return Path(_of_this_run().name) / name
 
 
 def is_ours_alone(path: Path) -> bool:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Self
@@ -67,7 +67,10 @@ class RosNetwork(ExitStack):
         if not distro:
             raise MissingVendorError("ROS 2", "no ROS 2 is sourced (ROS_DISTRO is not set)", MISSING)
         reason = "there is no python3"
-        for python in _pythons(self._variables):
+        # Keymint's own Python may come first on the path, in its environment.
+        path = self._variables.get("PATH", os.defpath)
+        pythons = (shutil.which("python3", path=folder) for folder in (path, "/usr/bin"))
+        for python in dict.fromkeys(filter(None, pythons)):
             try:
                 process = self._start((*UNSHARE, python, _PROGRAM, "network"), self._variables)
                 _, answer = process.answer("network")
@@ -114,10 +117,3 @@ class RosNetwork(ExitStack):
         process = ProbeProcess(words, environment, "the node")
         self.callback(process.reap)
         return process
-
-
-def _pythons(variables: Mapping[str, str]) -> Iterator[str]:
-    """Yield the Pythons that may be that of ROS: Keymint's own may come first on the path, in its environment."""
-    path = variables.get("PATH", os.defpath)
-    found = (shutil.which("python3", path=folder) for folder in (path, "/usr/bin"))
-    yield from dict.fromkeys(filter(None, found))

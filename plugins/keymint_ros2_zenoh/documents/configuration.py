@@ -257,20 +257,17 @@ def write(configuration: Configuration, title: Sequence[str]) -> bytes:
         for parent in parents:
             place = place.setdefault(parent, {})
         place[name] = value
-    members = [f"  {_text(key)}: {_value(value, 2)}" for key, value in tree.items()]
-    members.append(_access_control(configuration.access_control))
-    return "\n".join([*(f"// {line}".rstrip() for line in title), "{", ",\n".join(members), "}", ""]).encode()
-
-
-def _access_control(control: AccessControl) -> str:
-    members = [
-        f'    "enabled": {_text(control.enabled)}',
-        f'    "default_permission": {_text(control.default_permission)}',
+    control = configuration.access_control
+    decisions = [
+        f'    "enabled": {json.dumps(control.enabled)}',
+        f'    "default_permission": {json.dumps(control.default_permission)}',
         _list("rules", control.rules, ("id", "permission", "flows", "messages", "key_exprs")),
         _list("subjects", control.subjects, ("id", *PROPERTIES)),
         _list("policies", control.policies, ("subjects", "rules")),
     ]
-    return "\n".join(['  "access_control": {', ",\n".join(members), "  }"])
+    members = [f"  {json.dumps(key)}: {_value(value, 2)}" for key, value in tree.items()]
+    members.append("\n".join(['  "access_control": {', ",\n".join(decisions), "  }"]))
+    return "\n".join([*(f"// {line}".rstrip() for line in title), "{", ",\n".join(members), "}", ""]).encode()
 
 
 def _list(name: str, items: Iterable[AclRule | AclSubject | AclPolicy], members: Sequence[str]) -> str:
@@ -287,20 +284,18 @@ def _list(name: str, items: Iterable[AclRule | AclSubject | AclPolicy], members:
     return f'    "{name}": [\n{lines}\n    ]' if lines else f'    "{name}": []'
 
 
-def _text(value: Any) -> str:
-    """Return a value on one line; other characters than ASCII are escaped, so that no reader mistakes one."""
-    return json.dumps(value)
-
-
 def _value(value: Any, indent: int) -> str:
-    """Return a value on one line if it fits, else one member on each line."""
-    line = _text(value)
+    """Return a value on one line if it fits, else one member on each line.
+
+    Other characters than ASCII are escaped, so that no reader mistakes one.
+    """
+    line = json.dumps(value)
     if indent + len(line) < _WIDTH or not value or not isinstance(value, dict | list | tuple):
         return line
     inner = " " * (indent + 2)
     if not isinstance(value, dict):
         return "\n".join(["[", *_filled([_value(item, indent + 2) for item in value], inner), " " * indent + "]"])
-    parts = [f"{inner}{_text(key)}: {_value(item, indent + 2)}" for key, item in value.items()]
+    parts = [f"{inner}{json.dumps(key)}: {_value(item, indent + 2)}" for key, item in value.items()]
     return "\n".join(["{", ",\n".join(parts), " " * indent + "}"])
 
 

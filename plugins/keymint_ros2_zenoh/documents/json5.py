@@ -35,8 +35,8 @@ _TOKEN = lazy_regex(
 """Space and comments, and what follows them: a mark, a text, another word, or the end of the document."""
 # Other line ends and control characters end comments for some readers and not for others.
 _REFUSED = lazy_regex("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\u2028\u2029]")
-_NUMBER = lazy_regex(r"[+-]?(?:0[xX][0-9a-fA-F]+|(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)")
-_CONSTANTS = {"true": True, "false": False, "null": None}
+_PLAIN = lazy_regex(r"true|false|null|[+-]?(?:0[xX][0-9a-fA-F]+|(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)")
+"""The constants and numbers that all readers understand in the same way, if an integer has 64 bits at most."""
 _NEAR = lazy_regex(r"near (\d+)")
 
 
@@ -71,7 +71,11 @@ def parse(content: bytes, name: str) -> tuple[Any, Mapping[Path, int]]:
     except pyjson5.Json5NestingTooDeep:
         raise _refused(f"values are nested more than {DEPTH} deep", name, code="json5-limit") from None
     except pyjson5.Json5DecoderException as error:
-        raise _syntax(error, text, name) from None
+        message = str(error.args[0]) if error.args else ""
+        near = _NEAR.search(message)
+        line = text.count("\n", 0, int(near[1])) + 1 if near else 0
+        reason = re.sub(r"b'(\w+)'", r"\1", message.partition(" near ")[0]).removesuffix(" starting")
+        raise _refused(f"not well-formed JSON5: {quote(reason)}", name, line) from None
     scanner = _Json5Scanner(text, name)
     own, theirs = (json.dumps(each, ensure_ascii=False) for each in (scanner.root(), value))
     if own != theirs:  # compared as texts, since 1 is not true, nor 1.0
@@ -81,14 +85,6 @@ def parse(content: bytes, name: str) -> tuple[Any, Mapping[Path, int]]:
 
 def _refused(message: str, name: str, line: int = 0, help_: str = "", code: str = "json5-syntax") -> KeymintError:
     return KeymintError(message, where=Origin(name, line), help=help_, code=code)
-
-
-def _syntax(error: pyjson5.Json5DecoderException, text: str, name: str) -> KeymintError:
-    message = str(error.args[0]) if error.args else ""
-    near = _NEAR.search(message)
-    line = text.count("\n", 0, int(near[1])) + 1 if near else 0
-    reason = re.sub(r"b'(\w+)'", r"\1", message.partition(" near ")[0]).removesuffix(" starting")
-    return _refused(f"not well-formed JSON5: {quote(reason)}", name, line)
 
 
 class _Json5Scanner:
@@ -140,12 +136,10 @@ class _Json5Scanner:
             return self._members(path)
         if part == "[":
             return [self._value((*path, at), *each) for at, each in enumerate(self._each("]"))]
-        if kind == "word" and part in _CONSTANTS:
-            return _CONSTANTS[part]
-        if kind == "word" and _NUMBER.fullmatch(part):
-            number = pyjson5.decode(part)
-            if isinstance(number, float) or -(2**63) <= number < 2**64:
-                return number
+        if kind == "word" and _PLAIN.fullmatch(part):
+            value = pyjson5.decode(part)
+            if not isinstance(value, int) or -(2**63) <= value < 2**64:
+                return value
         raise self._odd(f"{quote(part)} is not a value that all readers understand in the same way")
 
     def _members(self, path: Path) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from itertools import product, starmap
 
+from comarmor.errors import Origin
 from comarmor.rules import parts
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
@@ -40,8 +41,12 @@ TOKEN_ENCLAVE = 2 + len(_TOKEN_IDS)
 """Index of the enclave among the chunks of a token."""
 
 
-def check_distro(distro: str) -> None:
+def check_distro(distro: str, where: Origin | None = None) -> None:
     """Raise an error for a distribution that has no rmw_zenoh.
+
+    Args:
+        distro: ROS 2 distribution.
+        where: the place of the error.
 
     Raises:
         KeymintError: it has none.
@@ -49,6 +54,7 @@ def check_distro(distro: str) -> None:
     if distro not in DISTROS:
         raise KeymintError(
             f"ROS 2 {distro.capitalize()} has no rmw_zenoh, which this build type is for",
+            where=where,
             help=did_you_mean(distro, DISTROS, f"use one of {', '.join(DISTROS)}, or the build type of DDS"),
             code="zenoh-distro",
         )

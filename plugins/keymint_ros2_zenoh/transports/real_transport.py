@@ -157,7 +157,7 @@ class _Run:
         if self._is_topic:
             self._process.ask("subscribe", session=self._receiver, keys=self._boxes)
         else:
-            self._process.ask("answer", session=self._receiver, keys=self._keys, text=self._receiver)
+            self._process.ask("answer", session=self._receiver, keys=[*self._boxes.values()], text=self._receiver)
 
     def deliver(self) -> None:
         """Send until every permitted sample has arrived, and once more if there are denied ones; then end."""
@@ -183,7 +183,8 @@ class _Run:
     def collect(self, seconds: float) -> None:
         """Note what has arrived when the last sample or answer has, if it is permitted, or when a time has passed."""
         if self._by_querier:
-            answers = self._process.ask("queriers", session=self._sender, keys=self._keys, wait=seconds)
+            keys = [*self._boxes.values()]
+            answers = self._process.ask("queriers", session=self._sender, keys=keys, wait=seconds)
             for trial in self._trials:
                 trial.delivered |= self._text(trial) in answers[trial.operation.key]
             return
@@ -197,10 +198,6 @@ class _Run:
         """Close the sessions."""
         for session in (self._own, self._other):
             self._network.close(session)
-
-    @property
-    def _keys(self) -> list[str]:
-        return [trial.operation.key for trial in self._trials]
 
     @property
     def _boxes(self) -> dict[str, str]:

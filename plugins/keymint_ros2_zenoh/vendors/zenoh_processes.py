@@ -27,20 +27,11 @@ from typing import Any, Self
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint.host.vendor_process import GRACE_SECONDS, CommandProcess, MissingVendorError, ProcessFailedError
+from keymint_ros2_zenoh.documents.configuration import Message
 
 FILTER = "zenoh::net::routing::interceptor::access_control=trace"
 
-MESSAGES = {
-    "Put": "put",
-    "Delete": "delete",
-    "Query": "query",
-    "Reply": "reply",
-    "Subscriber": "declare_subscriber",
-    "Queryable": "declare_queryable",
-    "Liveliness Token": "liveliness_token",
-    "Liveliness Query": "liveliness_query",
-    "Liveliness Subscriber": "declare_liveliness_subscriber",
-}
+MESSAGES = {each.removeprefix("declare_").replace("_", " ").title(): each.value for each in Message}
 """The names of messages in a configuration by those in the log, without ``Declare`` and ``Undeclare``."""
 
 _COLOUR = lazy_regex(r"\x1b\[[0-9;]*m")

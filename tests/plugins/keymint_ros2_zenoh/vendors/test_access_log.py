@@ -51,4 +51,14 @@ def test_one_allowing_subject_is_enough() -> None:
 
 
 def test_every_message_of_access_control_has_its_name_in_the_log() -> None:
-    assert set(zenoh_processes.MESSAGES.values()) == set(Message)
+    assert zenoh_processes.MESSAGES == {
+        "Put": Message.PUT,
+        "Delete": Message.DELETE,
+        "Query": Message.QUERY,
+        "Reply": Message.REPLY,
+        "Subscriber": Message.DECLARE_SUBSCRIBER,
+        "Queryable": Message.DECLARE_QUERYABLE,
+        "Liveliness Token": Message.LIVELINESS_TOKEN,
+        "Liveliness Query": Message.LIVELINESS_QUERY,
+        "Liveliness Subscriber": Message.DECLARE_LIVELINESS_SUBSCRIBER,
+    }
