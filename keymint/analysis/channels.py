@@ -9,14 +9,14 @@ topics and services. A channel is infrastructure if rules for every node allow i
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import cache
 from itertools import product
 
 from comarmor.errors import Origin
 from comarmor.patterns.decision_lists import DecisionList, Equal, Witness
-from comarmor.patterns.glob import EVERYTHING, Glob, literal, parse
+from comarmor.patterns.glob import EVERYTHING, Glob, literal
 from comarmor.patterns.relations import TooComplexError, covers, intersection
 from comarmor.rules import Effect
 from comarmor.values import dataclass
@@ -26,6 +26,7 @@ from keymint.analysis.rule_lists import (
     allow_only,
     decision_list,
     deny_over_allow,
+    display_name,
     find_permitted,
     object_patterns,
     pattern_text,
@@ -41,7 +42,6 @@ from keymint.analysis.subject_patterns import (
     fixed_expressions,
     namespace_name_splits,
     profile_subjects,
-    representatives,
     rules_of,
 )
 from keymint.api import LoadedPolicy, PolicyStructure, WrittenRule
@@ -72,6 +72,11 @@ class Channel:
     kind: str
     permissions: tuple[str, str]
     word: str
+
+    @property
+    def object(self) -> str:
+        """The name as display text; empty if it is unknown."""
+        return display_name(self.kind, self.word)
 
 
 class ChannelSearch:
@@ -132,14 +137,22 @@ class ChannelSearch:
                     reported.add(channel)
                     yield channel
 
-    def infrastructure(self, writer: str, reader: str) -> Iterator[Channel]:
-        """Yield the channels from one subject to another that rules for every node allow to both ends."""
-        for send, receive in FLOWS:
+    def infrastructure(self, pairs: Iterable[tuple[str, str]]) -> list[Channel]:
+        """Return the channels that rules for every node allow to both ends, one for each name and direction.
+
+        Args:
+            pairs: writers and readers; a subject has no channel to itself.
+        """
+        found: dict[tuple[str, tuple[str, str], str], Channel] = {}
+        for (writer, reader), (send, receive) in product(pairs, FLOWS):
+            if writer == reader:
+                continue
             for pattern in _shared(self._common(writer, send), self._common(reader, receive)):
                 lists = (self._listed(writer, send), self._listed(reader, receive), self._counted(send[0]))
                 channel = _channel(writer, reader, send, receive, allow_only(pattern), *lists)
                 if channel:
-                    yield channel
+                    found.setdefault((channel.kind, channel.permissions, channel.word), channel)
+        return list(found.values())
 
     def possible(self, writers: Glob, readers: Glob) -> Iterator[Channel]:
         """Yield possible channels between subjects that the policy does not name.
@@ -147,7 +160,7 @@ class ChannelSearch:
         No result proves that there is none. Writer and reader are patterns of subjects.
         """
         written = self._policy.structure()
-        if written is None:
+        if written is None or (literal(writers) is not None and literal(readers) is not None):
             return
         for send, receive in FLOWS:
             try:
@@ -166,10 +179,6 @@ class ChannelSearch:
                 channel = _channel(pattern_text(subject), pattern_text(other), send, receive, *lists)
                 if channel and can_exist(subject) and can_exist(other):
                     yield channel
-
-    def named(self, expression: str) -> tuple[str, ...]:
-        """Return the subjects of an expression; see :func:`~keymint.analysis.subject_patterns.representatives`."""
-        return representatives(self._policy, parse(expression))
 
     def _common_patterns(self, subject: str, key: PermissionKey) -> tuple[Glob, ...]:
         """Return the patterns that rules for every node allow to a subject."""

@@ -19,7 +19,6 @@ from comarmor.patterns.decision_lists import DecisionList, Equal, ProofResult, U
 from comarmor.patterns.glob import Glob, matches, parse
 from comarmor.patterns.proofs import difference
 from comarmor.patterns.relations import covers, disjoint
-from comarmor.patterns.tokens import STAR
 from comarmor.rules import PARTS, PERMISSIONS, Effect
 from comarmor.values import dataclass
 from keymint.analysis.rule_lists import (
@@ -90,11 +89,6 @@ class PermissionChange:
         return display_name(self.kind, self.word)
 
 
-def unknown_change(reason: str) -> PermissionChange:
-    """Return an unknown change of any permission."""
-    return PermissionChange(True, "", "", (STAR,), False, "", None, reason)
-
-
 def rule_changes(old: Sequence[Rule], new: Sequence[Rule], budget: QueryBudget) -> Iterator[PermissionChange]:
     """Yield what a subject gains and loses when its rules change, gains first.
 
@@ -130,7 +124,10 @@ class _RuleComparison:
         explained: dict[PermissionKey, list[Glob]] = {}
         for change in composite:
             pieces = [*part_patterns(change.kind, change.permission, change.objects)]
-            if all(self._is_changed(key, piece) for key, piece in pieces):
+            if all(
+                self._is_whole(key[0], piece, decision_list(self.before, key), decision_list(self.after, key))
+                for key, piece in pieces
+            ):
                 for key, piece in pieces:
                     explained.setdefault(key, []).append(piece)
         for key in keys:
@@ -139,9 +136,6 @@ class _RuleComparison:
                     if not any(covers(outer, change.objects) for outer in explained.get(key, ())):
                         yield change
         yield from composite
-
-    def _is_changed(self, key: PermissionKey, piece: Glob) -> bool:
-        return self._is_whole(key[0], piece, decision_list(self.before, key), decision_list(self.after, key))
 
     def _find(self, kind: str, *lists: DecisionList) -> ProofResult:
         return find_permitted(kind, *lists, budget=self.budget.next_query())
@@ -154,40 +148,31 @@ class _RuleComparison:
         return PermissionChange(self.gains, *key, objects, whole, outcome.word, where)
 
     def _elementary(self, key: PermissionKey) -> list[PermissionChange]:
-        """Return the changes for a kind and permission without parts."""
+        """Return the changes for a kind and permission without parts.
+
+        Of each pattern that a rule allows now, these are what was denied, and what no rule allowed.
+        """
+        kind = key[0]
         old, new = decision_list(self.before, key), decision_list(self.after, key)
-        if isinstance(difference(old, new, universe=universe(key[0]), budget=self.budget.next_query()), Equal):
+        if isinstance(difference(old, new, universe=universe(kind), budget=self.budget.next_query()), Equal):
             return []
         denied = tuple(dict.fromkeys(pattern for block in old if not block.allows for pattern in block.patterns))
+        unmatched: DecisionList = (*(block for block in old if not block.allows), *negate(old)[1:])
         changes: list[PermissionChange] = []
         for rule in self.after:
-            if rule.effect is Effect.ALLOW:
-                for pattern in object_patterns(rule, key):
-                    changes += self._of_pattern(pattern, old, new, denied, key, rule.origin)
-        return _maximal(changes)
-
-    def _of_pattern(
-        self,
-        pattern: Glob,
-        old: DecisionList,
-        new: DecisionList,
-        denied: tuple[Glob, ...],
-        key: PermissionKey,
-        where: Origin,
-    ) -> Iterator[PermissionChange]:
-        """Yield the newly allowed part of a pattern: what was denied, and what no rule allowed."""
-        kind = key[0]
-        allowed_now = restrict_allowed(pattern, new)
-        unmatched: DecisionList = (*(block for block in old if not block.allows), *negate(old)[1:])
-        outcome = self._find(kind, allowed_now, unmatched)
-        if not isinstance(outcome, Equal):
-            whole = not any(not disjoint(pattern, each) for each in denied) and self._is_whole(kind, pattern, old, new)
-            yield self._change(key, pattern, outcome, whole, where)
-        for each in denied:
-            for piece in overlap(pattern, each):
-                outcome = self._find(kind, allow_only(piece), allow_only(each), allowed_now)
+            for pattern in object_patterns(rule, key) if rule.effect is Effect.ALLOW else ():
+                allowed_now = restrict_allowed(pattern, new)
+                outcome = self._find(kind, allowed_now, unmatched)
                 if not isinstance(outcome, Equal):
-                    yield self._change(key, piece, outcome, self._is_whole(kind, piece, old, new), where)
+                    whole = all(disjoint(pattern, each) for each in denied) and self._is_whole(kind, pattern, old, new)
+                    changes.append(self._change(key, pattern, outcome, whole, rule.origin))
+                for denial in denied:
+                    for piece in overlap(pattern, denial):
+                        outcome = self._find(kind, allow_only(piece), allow_only(denial), allowed_now)
+                        if not isinstance(outcome, Equal):
+                            whole = self._is_whole(kind, piece, old, new)
+                            changes.append(self._change(key, piece, outcome, whole, rule.origin))
+        return _maximal(changes)
 
     def _composite(self, key: PermissionKey) -> list[PermissionChange]:
         """Return the changes for a permission with parts: all parts are allowed now, and were not."""
@@ -204,7 +189,9 @@ class _RuleComparison:
         changes: list[PermissionChange] = []
         for pattern, where in candidates.items():
             outcomes = [self._find(kind, allow_only(pattern), *new, negate(part)) for part in old]
-            outcome = _shortest(outcomes)
+            witnesses = (each for each in outcomes if isinstance(each, Witness))
+            undecided = next((each for each in outcomes if isinstance(each, Unknown)), None)
+            outcome = min(witnesses, key=lambda each: (len(each.word), each.word), default=undecided)
             if outcome is not None:
                 had = not isinstance(self._find(kind, allow_only(pattern), *old), Equal)
                 lacks = any(not isinstance(self._find(kind, allow_only(pattern), negate(part)), Equal) for part in new)
@@ -216,13 +203,6 @@ class _RuleComparison:
         allowed_before = self._find(kind, allow_only(pattern), old)
         denied_now = self._find(kind, allow_only(pattern), negate(new))
         return isinstance(allowed_before, Equal) and isinstance(denied_now, Equal)
-
-
-def _shortest(outcomes: Sequence[Equal | Witness | Unknown]) -> Witness | Unknown | None:
-    witnesses = [each for each in outcomes if isinstance(each, Witness)]
-    if witnesses:
-        return min(witnesses, key=lambda each: (len(each.word), each.word))
-    return next((each for each in outcomes if isinstance(each, Unknown)), None)
 
 
 def _maximal(changes: Sequence[PermissionChange]) -> list[PermissionChange]:
@@ -290,13 +270,11 @@ class PatternComparison:
             said: patterns of symbolic words to ignore.
             listed: classes of subjects to ignore; may grow between results.
         """
-        new, lifted = self._changed(key)
-        if not new and not lifted:
+        if not any(self._changed(key)):
             return
         for rule in self._after.applying(key, Effect.ALLOW, area.like):
             for subjects in dict.fromkeys(each for one in rule.reach.subjects for each in overlap(area.like, one)):
-                searches = [self._not_allowed_before(key, rule, subjects)] if rule.content in new else []
-                searches += self._denied_before(key, rule, subjects, lifted)
+                searches = list(self._searches(key, rule, subjects))
                 for left in reversed(range(_ROUNDS + 1) if searches else ()):
                     part = SubjectClass(subjects, area.excluded)
                     answer = self._first(key, rule, part, searches, said, listed)
@@ -342,22 +320,16 @@ class PatternComparison:
             undecided = undecided or answer
         return undecided
 
-    def _not_allowed_before(self, key: PermissionKey, rule: SymbolicRule, subjects: Glob) -> _Alternatives:
-        """Return the search for what a rule allows and no rule allowed before."""
-        excluded = (
-            *self._after.surely(key, Effect.DENY, subjects),
-            *self._before.surely(key, Effect.ALLOW, subjects),
-        )
-        return [(rule.object, rule.reach.conditions, excluded)]
-
-    def _denied_before(
-        self, key: PermissionKey, rule: SymbolicRule, subjects: Glob, lifted: Sequence[SymbolicRule]
-    ) -> Iterator[_Alternatives]:
-        """Yield searches for what a rule allows and a lifted rule denied before."""
+    def _searches(self, key: PermissionKey, rule: SymbolicRule, subjects: Glob) -> Iterator[_Alternatives]:
+        """Yield searches for what a rule allows and no rule allowed before, or a lifted rule denied before."""
+        new, lifted = self._changed(key)
         overlapping = [denial for denial in lifted if denial.may_meet(rule.object, SubjectClass(subjects))]
-        if not overlapping:
+        if rule.content not in new and not overlapping:
             return
         denied = self._after.surely(key, Effect.DENY, subjects)
+        if rule.content in new:
+            allowed = self._before.surely(key, Effect.ALLOW, subjects)
+            yield [(rule.object, rule.reach.conditions, (*denied, *allowed))]
         entries = tuple(denial.entry() for denial in overlapping if not placeholders(denial.object))
         if entries:
             yield [(rule.object, (*rule.reach.conditions, entries), denied)]

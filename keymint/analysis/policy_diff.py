@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from itertools import product
 
@@ -16,7 +16,6 @@ from keymint.analysis.permission_changes import (
     PatternComparison,
     PermissionChange,
     rule_changes,
-    unknown_change,
 )
 from keymint.analysis.rule_lists import SEPARATOR, pattern_text
 from keymint.analysis.subject_classes import ClassFinder
@@ -78,7 +77,7 @@ def diff_policies(old: LoadedPolicy, new: LoadedPolicy, budget: QueryBudget | No
     own = {subject: _of_subject(old, new, subject, budget) for subject in sorted(named | {ROOT_ENCLAVE})}
     classes: list[SubjectChanges] = []
     if len(books) < len(written):
-        classes.append(_unknown(SubjectClass((STAR,)), unknown_change(_UNWRITTEN)))
+        classes.append(_unknown(SubjectClass((STAR,)), _UNWRITTEN))
     else:
         classes += _classes((old, new), (books[0], books[1]), own, budget)
     # The root enclave is a member of classes, although no profile means it.
@@ -112,10 +111,10 @@ def _classes(
         for rule, within, found in comparison.differences(key, SubjectClass(EVERY), (), listed):
             if isinstance(found, Unknown):
                 if budget.is_empty:
-                    yield _unknown(SubjectClass(EVERY), unknown_change(budget.reason(found.reason)))
+                    yield _unknown(SubjectClass(EVERY), budget.reason(found.reason))
                     return
                 change = PermissionChange(comparison.gains, *key, rule.object, False, "", rule.where, found.reason)
-                yield _unknown(SubjectClass(within), change)
+                yield SubjectChanges("", SubjectClass(within), True, True, (change,))
                 continue
             alone = _of_subject(*policies, found, budget)
             if alone is None:
@@ -123,7 +122,7 @@ def _classes(
             area, changes, reason = finder.class_of(found, rule, within, alone.changes)
             if reason:
                 listed.append(area)
-                yield from (alone, _unknown(area, unknown_change(f"not listed: {reason}")))
+                yield from (alone, _unknown(area, f"not listed: {reason}"))
                 continue
             alike = replace(alone, changes=changes)
             others = [(name,) for name, each in own.items() if name in area and not _is_alike(alike, each, name)]
@@ -149,35 +148,28 @@ def _of_subject(old: LoadedPolicy, new: LoadedPolicy, subject: str, budget: Quer
     """Return the changes for a subject, if there are any, with examples checked by both policies."""
     before, after = old.rules(subject), new.rules(subject)
     old_rules, new_rules = (each.rules if each else () for each in (before, after))
-    changes = () if _same(old_rules, new_rules) else tuple(rule_changes(old_rules, new_rules, budget))
-    for change in changes:
-        if change.word:
-            _check_example(old, new, subject, change)
+    # Rules that are textually the same, in any order and place, have no changes.
+    is_same = {*map(_content, old_rules)} == {*map(_content, new_rules)}
+    changes = () if is_same else tuple(rule_changes(old_rules, new_rules, budget))
+    for change in (each for each in changes if each.word):
+        partition, _, name = change.word.rpartition(SEPARATOR)
+        edge = Edge(subject, change.permission, Object(change.kind, name, (partition,) if partition else ()))
+        if (old.decide(edge).allowed, new.decide(edge).allowed) != (not change.gains, change.gains):
+            raise AssertionError(f"the policies do not differ on {edge} as reported")
     if not changes and (before is None) is (after is None):
         return None
     return SubjectChanges(subject, None, before is not None, after is not None, changes)
 
 
-def _check_example(old: LoadedPolicy, new: LoadedPolicy, subject: str, change: PermissionChange) -> None:
-    """Check an example of the proof engine with both policies."""
-    partition, _, name = change.word.rpartition(SEPARATOR)
-    edge = Edge(subject, change.permission, Object(change.kind, name, (partition,) if partition else ()))
-    if (old.decide(edge).allowed, new.decide(edge).allowed) != (not change.gains, change.gains):
-        raise AssertionError(f"the policies do not differ on {edge} as reported")
-
-
-def _unknown(area: SubjectClass, change: PermissionChange) -> SubjectChanges:
+def _unknown(area: SubjectClass, reason: str) -> SubjectChanges:
+    """Return an unknown change of any permission."""
+    change = PermissionChange(True, "", "", (STAR,), False, "", None, reason)
     return SubjectChanges("", area, before=True, after=True, changes=(change,))
 
 
 def has_gains(changed: Iterable[SubjectChanges]) -> bool:
     """Return True if a subject gains something, or may gain something in an unknown change."""
     return any(change.gains or change.unknown for each in changed for change in each.changes)
-
-
-def _same(old: Sequence[Rule], new: Sequence[Rule]) -> bool:
-    """Return True if rules are textually the same, in any order and place."""
-    return {_content(rule) for rule in old} == {_content(rule) for rule in new}
 
 
 def _content(rule: Rule) -> tuple[object, ...]:

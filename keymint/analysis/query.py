@@ -57,6 +57,7 @@ class PolicyQuery:
         kind: kind of the object; empty without an object.
         permission: a permission of that kind.
         object: expression of the object.
+        partition: expression of the partition of a raw topic.
     """
 
     head: str
@@ -64,14 +65,21 @@ class PolicyQuery:
     kind: str = ""
     permission: str = ""
     object: str = ""
+    partition: str = ""
+
+    @property
+    def names(self) -> Glob:
+        """Pattern of the words of the object."""
+        return query_pattern(self.kind, self.object, self.partition)
 
 
-def parse_query(words: Sequence[str], kind: str = "") -> PolicyQuery:
+def parse_query(words: Sequence[str], kind: str = "", partition: str = "") -> PolicyQuery:
     """Parse the words of a query.
 
     Args:
         words: the words.
         kind: kind of the object; empty if it follows from the words.
+        partition: expression of the partition of a raw topic.
 
     Raises:
         KeymintError: the query has none of the forms.
@@ -96,7 +104,7 @@ def parse_query(words: Sequence[str], kind: str = "") -> PolicyQuery:
     if "OBJECT" not in expected:
         return PolicyQuery(head, subjects)
     *_, permission, name = rest
-    return PolicyQuery(head, subjects, *typed_permission(permission, name, kind), _expression(name))
+    return PolicyQuery(head, subjects, *typed_permission(permission, name, kind), _expression(name), partition)
 
 
 def _expression(text: str) -> str:

@@ -89,20 +89,16 @@ class ClassFinder:
         symbolic = tuple(self._with_placeholders(subject, change) for change in changes)
         try:
             for _ in range(_MOST_SPLITS):
-                narrower = self._narrower(area, subject, symbolic)
+                # Members that differ from the subject are cut off, until all are alike.
+                cuts = (_cut(area, subject, profiles) for profiles in self._decisive(area, subject, symbolic))
+                narrower = next(filter(None, cuts), None) or self._by_change(area, subject, symbolic)
+                narrower = narrower or self._by_claim(area, subject, symbolic)
                 if narrower is None:
                     return area, symbolic, ""
                 area = narrower
         except (_NotAlikeError, TooComplexError) as error:
             reason = str(error) or reason
         return area, (), reason
-
-    def _narrower(self, area: SubjectClass, subject: str, changes: Sequence[PermissionChange]) -> SubjectClass | None:
-        """Return a part of a class with a subject, without some members that differ from it; None if all are alike."""
-        for profiles in self._decisive(area, subject, changes):
-            if (narrower := _cut(area, subject, profiles)) is not None:
-                return narrower
-        return self._by_change(area, subject, changes) or self._by_claim(area, subject, changes)
 
     def _decisive(
         self, area: SubjectClass, subject: str, changes: Sequence[PermissionChange]

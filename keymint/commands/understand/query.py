@@ -3,29 +3,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 from comarmor.errors import Diagnostic
 from comarmor.patterns.decision_lists import Equal
-from comarmor.patterns.glob import literal, parse
+from comarmor.patterns.glob import parse
 from comarmor.rules import RAW_PREFIXES
 from comarmor.text import quantity
 from keymint.analysis.channels import Channel, ChannelSearch
 from keymint.analysis.query import (
     FORMS,
     HEADS,
-    EffectivePermission,
     PermissionHolder,
     PolicyQuery,
     effective_permissions,
     parse_query,
     who_can,
 )
-from keymint.analysis.rule_lists import RAW, allow_only, display_name, find_permitted, query_pattern
-from keymint.analysis.subject_patterns import rules_of, unknown_subject
+from keymint.analysis.rule_lists import RAW, allow_only, display_name, find_permitted
+from keymint.analysis.subject_patterns import representatives, rules_of, unknown_subject
 from keymint.api import LoadedPolicy
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions, kind_option, policy_options
@@ -67,8 +66,9 @@ def query(
 
     Exit code 3: subjects are not isolated, or the answer is unknown.
     """
-    path, question = _read(words, run.setting.cwd, kind or "")
-    if (but or infrastructure) and question.head not in ("flows", "isolated"):
+    path, question = _read(words, run.setting.cwd, kind or "", partition)
+    about_flows = question.head in ("flows", "isolated")
+    if (but or infrastructure) and not about_flows:
         raise usage_error(
             f"'{question.head}' takes no {'--except' if but else '--infrastructure'}",
             "use it with 'flows' or 'isolated'",
@@ -77,17 +77,13 @@ def query(
         parse_query(["who", "can", "publish", expression])  # checks the expression
     policies = Policies(run, policy_options)
     policy = policies.load(path)
-    separates = question.head in ("flows", "isolated") and not infrastructure
-    channels = ChannelSearch(policy, but, policies.common(path) if separates else lambda _: False)
-    answer: Callable[[], _Answer] = {
-        "who": lambda: _who(run, policy, question, partition),
-        "can": lambda: _can(run, policy, question, partition),
-        "what": lambda: _what(run, policy, question),
-        "flows": lambda: _flows(run, channels, question),
-        "isolated": lambda: _isolated(run, channels, question),
-    }[question.head]
-    verdict, more = answer()
-    warnings = list(_doubts(policy, question, partition, verdict, typed=kind is not None))
+    if about_flows:
+        channels = ChannelSearch(policy, but, (lambda _: False) if infrastructure else policies.common(path))
+        one, other = (representatives(policy, parse(each)) for each in question.subjects)
+        verdict, more = (_flows if question.head == "flows" else _isolated)(run, channels, question, one, other)
+    else:
+        verdict, more = (_what if question.head == "what" else _permitted)(run, policy, question)
+    warnings = list(_doubts(policy, question, verdict, typed=kind is not None))
     if verdict == "unknown":
         warnings.append(Diagnostic.warning("query-unknown", "the answer is unknown"))
     failed = verdict == "unknown" or (question.head == "isolated" and verdict == "no")
@@ -95,9 +91,7 @@ def query(
     return run.report(result, warnings, findings_if(failed))
 
 
-def _doubts(
-    policy: LoadedPolicy, question: PolicyQuery, partition: str, verdict: str, *, typed: bool
-) -> Iterator[Diagnostic]:
+def _doubts(policy: LoadedPolicy, question: PolicyQuery, verdict: str, *, typed: bool) -> Iterator[Diagnostic]:
     """Yield warnings about likely mistakes in a question."""
     for subject in question.subjects if question.head != "what" else ():
         if problem := unknown_subject(policy, parse(subject)):
@@ -105,7 +99,7 @@ def _doubts(
     name, kind = question.object, question.kind
     if not name:
         return
-    if isinstance(find_permitted(kind, allow_only(query_pattern(kind, name, partition))), Equal):
+    if isinstance(find_permitted(kind, allow_only(question.names)), Equal):
         help_ = "segments are letters, digits and '_', do not begin with a digit, and none is empty"
         yield Diagnostic.warning("query-object", f"no {kind} can have a name like {name!r}", help=help_)
     elif kind == RAW and not typed and verdict == "no" and not name.startswith(RAW_PREFIXES):
@@ -113,7 +107,7 @@ def _doubts(
         yield Diagnostic.warning("query-object", f"{name!r} is read as a raw topic", help=help_)
 
 
-def _read(words: Sequence[str], folder: Path, kind: str) -> tuple[Path | None, PolicyQuery]:
+def _read(words: Sequence[str], folder: Path, kind: str, partition: str) -> tuple[Path | None, PolicyQuery]:
     """Return the path of the policy, if one is named, and the question, which may be one or several arguments."""
     path: Path | None = None
     rest = list(words)
@@ -121,41 +115,26 @@ def _read(words: Sequence[str], folder: Path, kind: str) -> tuple[Path | None, P
         path = Path(rest.pop(0))
     if not rest:
         raise usage_error("the question is missing", f"ask one of: {'; '.join(FORMS)}")
-    return path, parse_query([each for one in rest for each in one.split()], kind)
+    return path, parse_query([each for one in rest for each in one.split()], kind, partition)
 
 
-def _holders(policy: LoadedPolicy, question: PolicyQuery, partition: str) -> list[PermissionHolder]:
+def _permitted(run: Run, policy: LoadedPolicy, question: PolicyQuery) -> _Answer:
     """Return who has the permission that a question is about, of the subjects that it names, else of all."""
     subjects = parse(next(iter(question.subjects), "*"))
-    name = query_pattern(question.kind, question.object, partition)
-    return list(who_can(policy, subjects, question.kind, question.permission, name))
-
-
-def _who(run: Run, policy: LoadedPolicy, question: PolicyQuery, partition: str) -> _Answer:
-    holders = _holders(policy, question, partition)
-    run.console.lines(_holder(run, holder, question) for holder in holders)
-    if not holders:
-        run.console.line(f"nobody: no subject can {question.permission} {question.object}, whatever its name")
-    return _verdict(holders), {"holders": [_as_data(holder, question) for holder in holders]}
-
-
-def _can(run: Run, policy: LoadedPolicy, question: PolicyQuery, partition: str) -> _Answer:
-    holders = _holders(policy, question, partition)
+    holders = list(who_can(policy, subjects, question.kind, question.permission, question.names))
     certain = next((holder for holder in holders if not holder.unknown), None)
-    shown = certain or (holders[0] if holders else None)
-    if certain:
-        run.console.line(f"yes: {_holder(run, certain, question)}")
-    elif shown:
-        run.console.line(f"not known: {_holder(run, shown, question)}")
+    verdict = "yes" if certain else "unknown" if holders else "no"
+    if question.head == "who":
+        run.console.lines(_holder(run, holder, question) for holder in holders)
+        if not holders:
+            run.console.line(f"nobody: no subject can {question.permission} {question.object}, whatever its name")
+        return verdict, {"holders": [_as_data(holder, question) for holder in holders]}
+    shown = certain or next(iter(holders), None)
+    if shown:
+        run.console.line(f"{'yes' if certain else 'not known'}: {_holder(run, shown, question)}")
     else:
         run.console.line(f"no: {question.subjects[0]} can never {question.permission} {question.object}")
-    return _verdict(holders), {"witness": _as_data(shown, question) if shown else None}
-
-
-def _verdict(holders: Sequence[PermissionHolder]) -> str:
-    if any(not holder.unknown for holder in holders):
-        return "yes"
-    return "unknown" if holders else "no"
+    return verdict, {"witness": _as_data(shown, question) if shown else None}
 
 
 def _holder(run: Run, holder: PermissionHolder, question: PolicyQuery) -> str:
@@ -173,73 +152,75 @@ def _as_data(holder: PermissionHolder, question: PolicyQuery) -> dict[str, Any]:
         "permission": question.permission,
         "object": display_name(question.kind, holder.word) or None,
         "rule": line_json(holder.where),
-        "unknown": holder.unknown or None,
+        **members(holder, "unknown"),
     }
 
 
 def _what(run: Run, policy: LoadedPolicy, question: PolicyQuery) -> _Answer:
     (expression,) = question.subjects
-    subjects = ChannelSearch(policy).named(expression)
-    found = [(subject, each) for subject in subjects for each in effective_permissions(rules_of(policy, subject))]
-    abilities = [
-        {
-            "subject": subject,
-            **members(ability, "permission", "expression", "partitions"),
-            "except": ability.but,
-            "audit": ability.audit,
-            "rule": line_json(ability.where),
-        }
-        for subject, ability in found
-    ]
-    if found:
+    subjects = representatives(policy, parse(expression))
+    abilities: list[dict[str, Any]] = []
+    shown: list[dict[str, Any]] = []
+    for subject in subjects:
+        for each in effective_permissions(rules_of(policy, subject)):
+            ability = {
+                "subject": subject,
+                **members(each, "permission", "expression", "partitions"),
+                "except": each.but,
+                "audit": each.audit,
+                "rule": line_json(each.where),
+            }
+            abilities.append(ability)
+            partitions = "".join(f" in partition {one!r}" for one in each.partitions)
+            but = f" but {', '.join(each.but)}" if each.but else ""
+            objects = f"{each.expression}{partitions}{but}{'  AUDIT' if each.audit else ''}"
+            shown.append(ability | {"objects": objects, "place": run.place(each.where)})
+    if shown:
         columns = {"SUBJECT": "subject"} if len(subjects) > 1 else {}
-        columns |= {"PERMISSION": "permission", "OBJECTS": "objects", "RULE": "place"}
-        shown = [{"objects": _objects(ability), "place": run.place(ability.where)} for _, ability in found]
-        run.console.table(columns, [each | more for each, more in zip(abilities, shown, strict=True)])
+        run.console.table(columns | {"PERMISSION": "permission", "OBJECTS": "objects", "RULE": "place"}, shown)
     elif not subjects:
         run.console.line(f"no profile of the policy applies to any subject that {expression} matches")
     else:
         applies = any(policy.rules(subject) is not None for subject in subjects)
         why = "no rule allows it anything" if applies else "no profile of the policy applies to it"
         run.console.line(f"{expression} can do nothing: {why}")
-    return "yes" if found else "no", {"subjects": subjects, "abilities": abilities}
+    return "yes" if abilities else "no", {"subjects": subjects, "abilities": abilities}
 
 
-def _objects(ability: EffectivePermission) -> str:
-    audit = "  AUDIT" if ability.audit else ""
-    partitions = "".join(f" in partition {one!r}" for one in ability.partitions)
-    but = f" but {', '.join(ability.but)}" if ability.but else ""
-    return f"{ability.expression}{partitions}{but}{audit}"
-
-
-def _flows(run: Run, channels: ChannelSearch, question: PolicyQuery) -> _Answer:
+def _flows(
+    run: Run, channels: ChannelSearch, question: PolicyQuery, sources: Sequence[str], targets: Sequence[str]
+) -> _Answer:
     one, other = question.subjects
-    sources, targets = channels.named(one), channels.named(other)
     for expression, found in ((one, sources), (other, targets)):
         if not found:
             run.console.line(f"no profile of the policy applies to any subject that {expression} matches")
     path = channels.path(sources, targets) if sources and targets else None
     if path is None:
-        apart = _infrastructure(channels, _pairs(sources, targets))
+        apart = channels.infrastructure(product(sources, targets))
         run.console.line(f"no: nothing flows from {one} to {other}{_but_for(channels, apart)}")
-        return "no", {"path": None, "infrastructure": [_channel(each) for each in apart]}
+        return "no", {"path": None, "infrastructure": _as_members(apart)}
     run.console.line(f"yes: in {quantity(len(path), 'step')}")
     run.console.lines(f"  {_step(step)}" for step in path)
     verdict = "yes" if all(step.word for step in path) else "unknown"
-    return verdict, {"path": [_channel(step) for step in path], "infrastructure": []}
+    return verdict, {"path": _as_members(path), "infrastructure": []}
 
 
-def _isolated(run: Run, channels: ChannelSearch, question: PolicyQuery) -> _Answer:
+def _isolated(
+    run: Run, channels: ChannelSearch, question: PolicyQuery, writers: Sequence[str], readers: Sequence[str]
+) -> _Answer:
     one, other = question.subjects
-    writers, readers = channels.named(one), channels.named(other)
-    pairs = [*_pairs(writers, readers), *_pairs(readers, writers)]
-    certain = [channel for pair in pairs for channel in channels.between(*pair) if channel.word]
+    pairs = [*product(writers, readers), *product(readers, writers)]
+    between = (channel for one, two in pairs if one != two for channel in channels.between(one, two))
+    certain = [channel for channel in between if channel.word]
     together: dict[tuple[str, str], list[Channel]] = {}
     for channel in certain:
         together.setdefault((channel.kind, channel.word), []).append(channel)
-    unnamed = [*_unnamed(channels, one, other), *_unnamed(channels, other, one)]
-    perhaps = [channel for channel in unnamed if (channel.kind, channel.word) not in together]
-    common = _infrastructure(channels, pairs)
+    perhaps: list[Channel] = []
+    for way in ((one, other), (other, one)):
+        # Each is listed once, by its name and permissions.
+        unnamed = {(each.kind, each.permissions, each.word): each for each in channels.possible(*map(parse, way))}
+        perhaps += (each for each in unnamed.values() if (each.kind, each.word) not in together)
+    common = channels.infrastructure(pairs)
     for shared in list(together.values())[:_MOST]:
         more = len(shared) - 1
         also = f" (and {quantity(more, 'other pair')})" if more else ""
@@ -259,22 +240,10 @@ def _isolated(run: Run, channels: ChannelSearch, question: PolicyQuery) -> _Answ
     if verdict != "yes" and common:
         run.console.line(f"also, by infrastructure: {_names(common)}")
     return verdict, {
-        "channels": [_channel(each) for each in certain],
-        "perhaps": [_channel(each) for each in perhaps],
-        "infrastructure": [_channel(each) for each in common],
+        "channels": _as_members(certain),
+        "perhaps": _as_members(perhaps),
+        "infrastructure": _as_members(common),
     }
-
-
-def _pairs(writers: Sequence[str], readers: Sequence[str]) -> list[tuple[str, str]]:
-    return [(writer, reader) for writer, reader in product(writers, readers) if writer != reader]
-
-
-def _infrastructure(channels: ChannelSearch, pairs: Sequence[tuple[str, str]]) -> Sequence[Channel]:
-    """Return the channels that rules for every node allow, one for each name and direction."""
-    found: dict[tuple[str, tuple[str, str], str], Channel] = {}
-    for channel in (each for pair in pairs for each in channels.infrastructure(*pair)):
-        found.setdefault((channel.kind, channel.permissions, channel.word), channel)
-    return tuple(found.values())
 
 
 def _but_for(channels: ChannelSearch, infrastructure: Sequence[Channel]) -> str:
@@ -286,26 +255,14 @@ def _but_for(channels: ChannelSearch, infrastructure: Sequence[Channel]) -> str:
 
 
 def _names(infrastructure: Sequence[Channel]) -> str:
-    return ", ".join(dict.fromkeys(display_name(each.kind, each.word) for each in infrastructure))
-
-
-def _unnamed(channels: ChannelSearch, first: str, second: str) -> list[Channel]:
-    """Return the possible channels between subjects that the policy does not name, each once."""
-    writers, readers = parse(first), parse(second)
-    if literal(writers) is not None and literal(readers) is not None:
-        return []
-    channels_by_key = {(each.kind, each.permissions, each.word): each for each in channels.possible(writers, readers)}
-    return list(channels_by_key.values())
+    return ", ".join(dict.fromkeys(each.object for each in infrastructure))
 
 
 def _step(channel: Channel) -> str:
     writing, reading = channel.permissions
-    name = display_name(channel.kind, channel.word) or "an unknown name"
+    name = channel.object or "an unknown name"
     return f"{channel.writer} → {channel.reader} by {channel.kind} {name} ({writing}, {reading})"
 
 
-def _channel(channel: Channel) -> dict[str, Any]:
-    return {
-        **members(channel, "writer", "reader", "kind", "permissions"),
-        "object": display_name(channel.kind, channel.word) or None,
-    }
+def _as_members(channels: Sequence[Channel]) -> list[dict[str, Any]]:
+    return [members(each, "writer", "reader", "kind", "permissions", "object") for each in channels]
