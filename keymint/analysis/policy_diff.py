@@ -11,12 +11,7 @@ from comarmor.patterns.decision_lists import Unknown
 from comarmor.patterns.glob import literal
 from comarmor.patterns.tokens import STAR
 from comarmor.values import dataclass
-from keymint.analysis.permission_changes import (
-    KEYS,
-    PatternComparison,
-    PermissionChange,
-    rule_changes,
-)
+from keymint.analysis.permission_changes import KEYS, PatternComparison, PermissionChange, rule_changes
 from keymint.analysis.rule_lists import SEPARATOR, pattern_text
 from keymint.analysis.subject_classes import ClassFinder
 from keymint.analysis.subject_patterns import EVERY, ROOT_ENCLAVE, SubjectClass

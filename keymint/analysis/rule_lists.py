@@ -111,9 +111,8 @@ def deny_over_allow(denied: Iterable[Glob], allowed: Iterable[Glob]) -> Decision
     return (Block(False, tuple(denied)), Block(True, tuple(allowed)))
 
 
-def part_lists(rules: Iterable[Rule], kind: str, permission: str) -> tuple[DecisionList, ...]:
+def part_lists(rules: Sequence[Rule], kind: str, permission: str) -> tuple[DecisionList, ...]:
     """Return a decision list for each part of a permission; the permission requires all of them."""
-    rules = tuple(rules)
     return tuple(
         strip_suffix(decision_list(rules, (part_kind, part)), suffix)
         for part_kind, part, suffix in parts(kind, permission)

@@ -167,35 +167,24 @@ def _filled(pattern: Glob, filling: str) -> str:
 
 def _with_overlaps(wild: Sequence[Glob], given_up: list[str]) -> list[Glob]:
     """Return patterns and the overlaps of two of them, up to :data:`MOST_EXAMPLES` overlaps."""
-    known = set(wild)
+    places = {pattern: at for at, pattern in enumerate(wild)}
+    found: dict[Glob, None] = {}  # overlaps that are neither of the two
     try:
-        overlaps = [each for each in _overlaps(wild) if each not in known]
+        near = PatternIndex(places.items())
+        with step_limit(_OVERLAPS):
+            for at, one in enumerate(wild):
+                before = sorted(((place, other) for other, place in near.meeting(one) if place < at), key=itemgetter(0))
+                for _, other in before:
+                    found |= dict.fromkeys(each for each in intersection(one, other) if each not in (one, other))
+                if len(found) > 2 * MOST_EXAMPLES:
+                    break
     except (StepLimitError, TooComplexError):
         given_up.append("patterns of subjects overlap in too many ways")
         return [*wild]
+    overlaps = [each for each in found if each not in places]
     if len(overlaps) > MOST_EXAMPLES:
         given_up.append(f"more than {MOST_EXAMPLES} patterns of subjects overlap")
     return [*wild, *overlaps[:MOST_EXAMPLES]]
-
-
-def _overlaps(wild: Sequence[Glob]) -> list[Glob]:
-    """Return the overlaps of two patterns that are neither of them.
-
-    Raises:
-        StepLimitError: too many patterns have the same prefix.
-        TooComplexError: two patterns overlap in too many ways.
-    """
-    places = {pattern: at for at, pattern in enumerate(wild)}
-    near = PatternIndex(places.items())
-    overlaps: dict[Glob, None] = {}
-    with step_limit(_OVERLAPS):
-        for at, one in enumerate(wild):
-            before = sorted(((place, other) for other, place in near.meeting(one) if place < at), key=itemgetter(0))
-            for _, other in before:
-                overlaps |= dict.fromkeys(each for each in intersection(one, other) if each not in (one, other))
-            if len(overlaps) > 2 * MOST_EXAMPLES:
-                break
-    return list(overlaps)
 
 
 def expressions_for(clause: WrittenRule, subject: str) -> tuple[str, ...]:

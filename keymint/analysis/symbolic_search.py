@@ -28,7 +28,7 @@ from comarmor.patterns.decision_lists import (
 from comarmor.patterns.glob import Glob, literal, matches, normalise, parse, words
 from comarmor.patterns.proofs import difference
 from comarmor.patterns.relations import TooComplexError, intersection
-from comarmor.patterns.tokens import STAR, Charset, charset
+from comarmor.patterns.tokens import STAR, charset
 from comarmor.values import dataclass
 from keymint.analysis.rule_lists import RAW, SEPARATOR, universe
 from keymint.analysis.subject_patterns import SubjectClass, example_subject
@@ -192,7 +192,9 @@ class _Search:
             return Unknown("its patterns overlap in too many ways")
         refused = [*negatives, *self._words((*excluded, *(each.like for each in listed if not each.excluded)))]
         unlisted = [self._outside(each) for each in listed if each.excluded]
-        words = Universe(_alphabet(self.kind), 4 if self.kind == RAW else 3, SEPARATOR, last_nonempty=self.kind == RAW)
+        placeholder_codes = ((ord(each), ord(each)) for each in PLACEHOLDERS)
+        alphabet = charset((*universe(self.kind).alphabet.ranges, *placeholder_codes))
+        words = Universe(alphabet, 4 if self.kind == RAW else 3, SEPARATOR, last_nonempty=self.kind == RAW)
         for _ in range(_ROUNDS):
             denied = Block(False, tuple(dict.fromkeys(refused)))
             lists: list[DecisionList] = [
@@ -224,7 +226,10 @@ class _Search:
         for entries in self.some:
             found = (word for entry in entries for word in self._entry_words(entry, wide=True))
             positives.append(tuple(dict.fromkeys(found)))
-        negatives = [*_illegal(self.kind), *self._surplus_placeholders()]
+        negatives = [*_illegal(self.kind)]
+        # No word has more placeholders than the shape: its stars match none.
+        used = placeholders(self.shape)
+        negatives += (normalise((STAR, *((each, STAR) * (used.count(each) + 1)))) for each in PLACEHOLDERS)
         negatives += (word for entry in self.none for word in self._entry_words(entry, wide=False))
         return positives, negatives
 
@@ -258,12 +263,6 @@ class _Search:
                     ((exact[0] if NAMESPACE in used else one, exact[1] if NAME in used else other),), entry.object
                 )
                 yield from self._entry_words(narrow, wide=False)
-
-    def _surplus_placeholders(self) -> Iterator[Glob]:
-        """Yield the words with more placeholders than the shape: its stars match no placeholders."""
-        used = placeholders(self.shape)
-        for each in PLACEHOLDERS:
-            yield normalise((STAR, *((each, STAR) * (used.count(each) + 1))))
 
     def _words(self, subjects: Iterable[Glob]) -> Iterator[Glob]:
         """Yield patterns of all words of the subjects that patterns match."""
@@ -305,12 +304,6 @@ def _narrowed(pattern: Glob, limits: Sequence[Glob], *, wide: bool) -> tuple[Glo
             if not wide:
                 return ()
     return pieces
-
-
-@lru_cache(maxsize=8)
-def _alphabet(kind: str) -> Charset:
-    ranges = universe(kind).alphabet.ranges
-    return charset((*ranges, (ord(NAMESPACE), ord(NAMESPACE)), (ord(NAME), ord(NAME))))
 
 
 @lru_cache(maxsize=8)

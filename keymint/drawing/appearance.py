@@ -18,7 +18,7 @@ from enum import StrEnum
 from comarmor.regex import lazy_regex
 from comarmor.text import one_line
 from keymint.api.graph import EdgeOutcome, Object
-from keymint.drawing.labelled_graph import Label, LabelledEdge
+from keymint.drawing.labelled_graph import LabelledEdge
 
 KINDS = {
     "ros_topic": "topic",
@@ -101,14 +101,13 @@ def sentence(labelled: LabelledEdge, transports: Sequence[str]) -> str:
     """Return an edge with all its labels on one line."""
     edge = labelled.edge
     layers = [("policy", labelled.policy), *zip(transports, labelled.transports, strict=True)]
-    labels = "; ".join(f"{name}: {_label_text(label)}" for name, label in layers if label is not None)
+    labels = []
+    for name, label in layers:
+        if label is not None:
+            because = ": ".join(filter(None, (str(label.where) if label.where else "", label.reason)))
+            labels.append(f"{name}: {'allowed' if label.allowed else 'denied'}" + (f" ({because})" if because else ""))
     text = f"{edge.subject} {edge.permission} {object_name(edge.object, edge.domain)}"
-    return one_line(text + (f" - {labels}" if labels else "") + (" (AUDIT)" if labelled.audit else ""))
-
-
-def _label_text(label: Label) -> str:
-    because = ": ".join(filter(None, (str(label.where) if label.where else "", label.reason)))
-    return ("allowed" if label.allowed else "denied") + (f" ({because})" if because else "")
+    return one_line(text + (f" - {'; '.join(labels)}" if labels else "") + (" (AUDIT)" if labelled.audit else ""))
 
 
 class Theme(StrEnum):
@@ -185,8 +184,8 @@ def _colours(palette: Mapping[str, str]) -> str:
         f".keymint .muted{{fill:{palette['muted']}}}",
         f".keymint .rule{{stroke:{palette['rule']}}}",
         f".keymint .audit{{fill:{palette['audit']};stroke:{palette['background']}}}",
+        f".keymint .neutral rect{{fill:{palette['background']};stroke:{palette['plain']}}}",
     ]
-    rules.append(f".keymint .neutral rect{{fill:{palette['background']};stroke:{palette['plain']}}}")
     for kind in KIND_NAMES:
         rules.append(f".keymint .{kind} rect{{fill:{palette[f'{kind}-fill']};stroke:{palette[kind]}}}")
         rules.append(f".keymint .{kind} .bullet{{fill:{palette[kind]}}}")

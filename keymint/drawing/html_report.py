@@ -17,7 +17,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from comarmor.errors import Origin, citation
+from comarmor.errors import citation
 from comarmor.text import one_line, quantity
 from keymint.api.graph import DomainObject, EdgeOutcome
 from keymint.drawing.appearance import KINDS, OUTCOMES, Theme, object_name, style_sheet
@@ -145,19 +145,17 @@ class _Page:
     def _label(self, label: Label | None, policy: Label | None = None) -> Mapping[str, Any] | None:
         if label is None:
             return None
+        links = []
+        for place in (label.where, *label.where.chain) if label.where else ():
+            at = self._sources.get(place.file)
+            target = "" if at is None else f"f{at}-{place.line}" if place.line else f"f{at}"  # without the file: empty
+            links.append({"text": one_line(citation(place.file, place.line)), "target": target})
         return {
             "allowed": label.allowed,
             "wrong": policy is not None and label.allowed != policy.allowed,
             "reason": one_line(label.reason),
-            "links": list(self._links(label.where)) if label.where else [],
+            "links": links,
         }
-
-    def _links(self, where: Origin) -> Iterator[Mapping[str, str]]:
-        """Yield a link to each place; ``target`` is empty if the report does not contain the file."""
-        for place in (where, *where.chain):
-            at = self._sources.get(place.file)
-            target = "" if at is None else f"f{at}-{place.line}" if place.line else f"f{at}"
-            yield {"text": one_line(citation(place.file, place.line)), "target": target}
 
     def _object(self, key: DomainObject) -> Mapping[str, Any]:
         domain, object_ = key

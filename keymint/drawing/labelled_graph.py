@@ -256,31 +256,30 @@ def policy_graph(
     if not chosen:
         raise no_subject("select subjects with --subject, e.g. --subject /robot1/camera")
     names: set[Object] = set()
-    expressions: dict[Object, Object] = {}
-    own: dict[str, dict[Object, set[str]]] = {}
+    asked: dict[Edge, Object] = {}  # edges to expressions, each with the object to decide about
     for subject in chosen:
         rules = policy.rules(subject)
         if rules is None:
             hint = did_you_mean(subject, policy.subjects(), "attach a profile to it")
             raise KeymintError(f"no profile of the policy applies to {subject}", help=hint, code="subject-unknown")
-        permissions = own.setdefault(subject, {})
         for rule in rules.rules:
             partitions = tuple(sorted(rule.partitions))
             for object_ in (Object(rule.kind, expression, partitions) for expression in rule.expressions):
-                if _literal(object_):
+                texts = (object_.name, *partitions)
+                if all(isinstance(token, str) for text in texts for token in glob.parse(text)):
                     names.add(_witness(object_))
                 else:
-                    expressions[object_] = _witness(object_)
-                    permissions.setdefault(object_, set()).update(rule.permissions)
+                    witness = _witness(object_)
+                    asked |= {Edge(subject, permission, object_): witness for permission in rule.permissions}
     if everything:
         _refuse_large(len(chosen) * sum(len(LABELLED[object_.kind]) for object_ in names))
     decided = itertools.chain(
         _edges_to_names(policy, chosen, sorted(names), everything=everything),
-        _edges_to_expressions(policy, own, expressions),
+        ((edge, policy.decide(replace(edge, object=witness))) for edge, witness in asked.items()),
     )
     edges = list(_labelled(itertools.islice(decided, MOST_EDGES + 1), typed, common))
     _refuse_large(len(edges))
-    return LabelledGraph.of(title, edges, chosen, patterns=expressions)
+    return LabelledGraph.of(title, edges, chosen, patterns={edge.object for edge in asked})
 
 
 def _refuse_large(edges: int) -> None:
@@ -295,24 +294,13 @@ def _refuse_large(edges: int) -> None:
 def _edges_to_names(
     policy: LoadedPolicy, subjects: Sequence[str], objects: Sequence[Object], *, everything: bool
 ) -> Iterator[tuple[Edge, PolicyDecision]]:
-    for subject in subjects:
-        for object_ in objects:
-            for permission in PERMISSIONS[object_.kind]:
-                edge = Edge(subject, permission, object_)
-                decision = policy.decide(edge)
-                completes = everything and permission in LABELLED[object_.kind]
-                if decision.allowed or decision.where is not None or completes:
-                    yield edge, decision
-
-
-def _edges_to_expressions(
-    policy: LoadedPolicy, own: Mapping[str, Mapping[Object, set[str]]], expressions: Mapping[Object, Object]
-) -> Iterator[tuple[Edge, PolicyDecision]]:
-    for subject, objects in own.items():
-        for expression, permissions in objects.items():
-            for permission in sorted(permissions):
-                edge = Edge(subject, permission, expressions[expression])
-                yield replace(edge, object=expression), policy.decide(edge)
+    for subject, object_ in itertools.product(subjects, objects):
+        for permission in PERMISSIONS[object_.kind]:
+            edge = Edge(subject, permission, object_)
+            decision = policy.decide(edge)
+            completes = everything and permission in LABELLED[object_.kind]
+            if decision.allowed or decision.where is not None or completes:
+                yield edge, decision
 
 
 def _labelled(
@@ -332,10 +320,6 @@ def policy_label(decision: PolicyDecision, typed: Callable[[str], str]) -> Label
     where = decision.where.with_files(typed) if decision.where else None
     # The origin of the rule is shown beside the reason.
     return Label(decision.allowed, decision.reason.without_places(), where)
-
-
-def _literal(object_: Object) -> bool:
-    return all(isinstance(token, str) for text in (object_.name, *object_.partitions) for token in glob.parse(text))
 
 
 def _witness(expression: Object) -> Object:

@@ -121,7 +121,11 @@ def lay_out(
         marks: a second line of text for some subjects.
     """
     objects = sorted({one.edge.domain_object for one in edges}, key=_rank)
-    stacks = _columns(list(subjects), objects, edges)
+    beside: dict[NodeKey, list[NodeKey]] = defaultdict(list)
+    for one in edges:
+        beside[one.edge.subject].append(one.edge.domain_object)
+        beside[one.edge.domain_object].append(one.edge.subject)
+    stacks = _columns(list(subjects), objects, {key: {*ends} for key, ends in beside.items()})
     column_of = {key: at for at, stack in enumerate(stacks) for key in stack}
     sides: dict[_Side, list[LabelledEdge]] = defaultdict(list)
     for one in edges:
@@ -137,7 +141,7 @@ def lay_out(
         )
         for key in column_of
     }
-    tops = _tops(stacks, heights, edges)
+    tops = _tops(stacks, heights, beside)
 
     labels: dict[NodeKey, str] = {subject: shorten(one_line(subject)) for subject in subjects}
     labels |= {key: shorten(names.get(key[1]) or object_name(key[1], key[0])) for key in objects}
@@ -148,22 +152,14 @@ def lay_out(
         longest = {key: max(columns(labels[key]), columns(seconds.get(key, ""))) for key in stack}
         width = max((longest[key] * CHARACTER + 2 * _PADDING + _BULLET for key in stack), default=0.0)
         for key in stack:
-            boxes[key] = NodeBox(
-                key, _kind(key), labels[key], _title(key), x, tops[key], width, heights[key], seconds.get(key, "")
-            )
+            if isinstance(key, str):
+                kind, title = "subject", one_line(key)
+            else:
+                kind, title = key[1].kind, f"{object_name(key[1], key[0])} ({KINDS[key[1].kind]})"
+            boxes[key] = NodeBox(key, kind, labels[key], title, x, tops[key], width, heights[key], seconds.get(key, ""))
         x += width + gap
     height = max((box.y + box.height for box in boxes.values()), default=0.0)
     return Panel(heading, tuple(boxes.values()), _lines(edges, boxes, sides), max(0.0, x - gap), height)
-
-
-def _kind(key: NodeKey) -> str:
-    return "subject" if isinstance(key, str) else key[1].kind
-
-
-def _title(key: NodeKey) -> str:
-    if isinstance(key, str):
-        return one_line(key)
-    return f"{object_name(key[1], key[0])} ({KINDS[key[1].kind]})"
 
 
 def _rank(key: DomainObject) -> tuple[int, DomainObject]:
@@ -173,12 +169,10 @@ def _rank(key: DomainObject) -> tuple[int, DomainObject]:
 # -- order -----------------------------------------------------------------------------------------------------------
 
 
-def _columns(subjects: list[str], objects: list[DomainObject], edges: Sequence[LabelledEdge]) -> list[list[NodeKey]]:
+def _columns(
+    subjects: list[str], objects: list[DomainObject], beside: Mapping[NodeKey, set[NodeKey]]
+) -> list[list[NodeKey]]:
     """Return the columns from left to right, each from top to bottom."""
-    beside: dict[NodeKey, set[NodeKey]] = defaultdict(set)
-    for one in edges:
-        beside[one.edge.subject].add(one.edge.domain_object)
-        beside[one.edge.domain_object].add(one.edge.subject)
     if len(subjects) == 2:  # noqa: PLR2004 - one on each side
         both = sorted(objects, key=lambda key: (len(beside[key]) < 2, _rank(key)))  # noqa: PLR2004
         return [[subjects[0]], list(both), [subjects[1]]]
@@ -239,13 +233,9 @@ def _crossings(left: Sequence[NodeKey], right: Sequence[NodeKey], beside: Mappin
 
 
 def _tops(
-    stacks: Sequence[Sequence[NodeKey]], heights: Mapping[NodeKey, float], edges: Sequence[LabelledEdge]
+    stacks: Sequence[Sequence[NodeKey]], heights: Mapping[NodeKey, float], beside: Mapping[NodeKey, Sequence[NodeKey]]
 ) -> dict[NodeKey, float]:
     """Return the upper edges of all boxes: the longest column is stacked, the others are fitted beside it."""
-    beside: dict[NodeKey, list[NodeKey]] = defaultdict(list)
-    for one in edges:
-        beside[one.edge.subject].append(one.edge.domain_object)
-        beside[one.edge.domain_object].append(one.edge.subject)
     longest = max(range(len(stacks)), key=lambda at: sum(heights[key] + GAP for key in stacks[at]))
     tops = _stacked(stacks[longest], heights)
     for at in sorted(range(len(stacks)), key=lambda at: abs(at - longest)):
@@ -263,14 +253,14 @@ def _fitted(
     column: Sequence[NodeKey],
     tops: Mapping[NodeKey, float],
     heights: Mapping[NodeKey, float],
-    beside: Mapping[NodeKey, list[NodeKey]],
+    beside: Mapping[NodeKey, Sequence[NodeKey]],
 ) -> dict[NodeKey, float]:
     """Return the tops nearest to the middle of each node's neighbours (least squares) that keep order and gaps."""
     shifts = _stacked(column, heights)
     blocks: list[tuple[float, int]] = []
     wanted = 0.0
     for key in column:
-        ends = [tops[one] + heights[one] / 2 for one in beside[key] if one in tops]
+        ends = [tops[one] + heights[one] / 2 for one in beside.get(key, ()) if one in tops]
         wanted = sum(ends) / len(ends) - heights[key] / 2 if ends else wanted
         mean, count = wanted - shifts[key], 1
         while blocks and blocks[-1][0] > mean:
@@ -294,18 +284,12 @@ def _lines(
         middle = boxes[key].y + boxes[key].height / 2
         for number, one in enumerate(sorted(side, key=place)):
             at[key, one] = middle + (number - (len(side) - 1) / 2) * PORT_DISTANCE
-    return tuple(_line(one, boxes[one.edge.subject], boxes[one.edge.domain_object], at) for one in edges)
-
-
-def _line(
-    one: LabelledEdge, subject: NodeBox, object_: NodeBox, at: Mapping[tuple[NodeKey, LabelledEdge], float]
-) -> EdgeLine:
-    rightward = subject.x < object_.x
-    return EdgeLine(
-        one,
-        subject.x + subject.width if rightward else subject.x,
-        at[subject.key, one],
-        object_.x if rightward else object_.x + object_.width,
-        at[object_.key, one],
-        *directions(one.edge.permission),
-    )
+    lines = []
+    for one in edges:
+        subject, object_ = boxes[one.edge.subject], boxes[one.edge.domain_object]
+        x1, x2 = subject.x + subject.width, object_.x
+        if subject.x >= object_.x:
+            x1, x2 = subject.x, object_.x + object_.width
+        ends = (x1, at[subject.key, one], x2, at[object_.key, one])
+        lines.append(EdgeLine(one, *ends, *directions(one.edge.permission)))
+    return tuple(lines)

@@ -10,11 +10,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from comarmor.text import one_line
-from keymint.api.graph import EdgeOutcome, Object
+from keymint.api.graph import EdgeOutcome
 from keymint.api.plugin_loader import how_to_add
 from keymint.drawing.appearance import FONTS, LIGHT, directions, edge_classes, object_name, sentence
 from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph
-from keymint.drawing.simplify import DrawingOptions, SimplifiedGraph, simplify
+from keymint.drawing.simplify import DrawingOptions, simplify
 from keymint.errors import KeymintError
 
 
@@ -28,15 +28,16 @@ def dot(labelled: LabelledGraph, options: DrawingOptions | None = None) -> bytes
     options = options or DrawingOptions()
     drawn = simplify(labelled, replace(options, fold=False))
     edges = drawn.edges
+    common = {name: f" (+{len(marks)} common)" for name, marks in drawn.marks.items()}
     objects = {key: f"o{at}" for at, key in enumerate(sorted({one.edge.domain_object for one in edges}))}
     subjects = {subject: f"s{at}" for at, subject in enumerate(drawn.groups)}
     lines = [
         "digraph keymint {",
         f"  graph [rankdir=LR, label={_quoted(labelled.title)}, labelloc=t, fontname=monospace]",
         "  node [style=filled, fontname=monospace]",
-        *(f"  {at} [{_node('subject', _subject(name, drawn))}]" for name, at in subjects.items()),
+        *(f"  {at} [{_node('subject', one_line(name) + common.get(name, ''))}]" for name, at in subjects.items()),
         *(
-            f"  {at} [{_node(object_.kind, object_name(object_, domain))}{_style(object_, labelled)}]"
+            f"  {at} [{_node(object_.kind, object_name(object_, domain), dashed=object_ in labelled.patterns)}]"
             for (domain, object_), at in objects.items()
         ),
         *(
@@ -49,24 +50,16 @@ def dot(labelled: LabelledGraph, options: DrawingOptions | None = None) -> bytes
     return ("\n".join(lines) + "\n").encode()
 
 
-def _subject(name: str, drawn: SimplifiedGraph) -> str:
-    common = drawn.marks.get(name)
-    return one_line(name) + (f" (+{len(common)} common)" if common else "")
-
-
 def _quoted(text: str) -> str:
     r"""Return a quoted string of DOT; an unescaped ``\`` starts an escape in a label."""
     return '"' + one_line(text).replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
-def _node(kind: str, label: str) -> str:
+def _node(kind: str, label: str, *, dashed: bool = False) -> str:
     shape = "ellipse" if kind == "subject" else "box"
     colours = f'fillcolor="{LIGHT[f"{kind}-fill"]}", color="{LIGHT[kind]}"'
-    return f"label={_quoted(label)}, shape={shape}, {colours}"
-
-
-def _style(object_: Object, labelled: LabelledGraph) -> str:
-    return ', style="filled,dashed"' if object_ in labelled.patterns else ""
+    style = ', style="filled,dashed"' if dashed else ""
+    return f"label={_quoted(label)}, shape={shape}, {colours}{style}"
 
 
 def _attributes(one: LabelledEdge, labelled: LabelledGraph, options: DrawingOptions) -> str:

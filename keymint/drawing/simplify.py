@@ -60,6 +60,8 @@ class SimplifiedGraph:
     """The part of a graph that is drawn.
 
     Attributes:
+        labelled: the graph.
+        options: drawing options.
         edges: the lines, sorted.
         groups: the subjects of each group by its name; a subject that is not grouped is its own group.
         marks: the common edges that are not drawn, by group of their subject.
@@ -67,21 +69,31 @@ class SimplifiedGraph:
         left_out: number of lines without room.
     """
 
+    labelled: LabelledGraph
+    options: DrawingOptions
     edges: tuple[LabelledEdge, ...]
     groups: Mapping[str, tuple[str, ...]]
-    marks: Mapping[str, tuple[LabelledEdge, ...]]
+    marks: Mapping[str, Sequence[LabelledEdge]]
     members: Mapping[DomainObject, tuple[DomainObject, ...]]
     left_out: int
 
 
 def simplify(labelled: LabelledGraph, options: DrawingOptions) -> SimplifiedGraph:
     """Return the part of a graph that is drawn."""
-    marked = [one for one in labelled.edges if not options.common and _is_common(one, options)]
-    hidden = set(marked)
-    edges: Sequence[LabelledEdge] = [one for one in labelled.edges if one not in hidden]
+    # A mark stands for an edge that a common rule allows, if the transport allows it, too.
+    marked: dict[LabelledEdge, None] = {}
+    if not options.common:
+        common = (one for one in labelled.edges if one.common)
+        marked = dict.fromkeys(one for one in common if one.outcome(options.transport) is EdgeOutcome.ALLOW)
+    edges: Sequence[LabelledEdge] = [one for one in labelled.edges if one not in marked]
     groups: Mapping[str, tuple[str, ...]] = {subject: (subject,) for subject in labelled.subjects}
-    if _uses_groups(labelled, options) and len(by_namespace := _groups(labelled.subjects)) > 1:
-        groups, edges = by_namespace, _group_edges(edges, by_namespace)
+    is_large = options.split is Split.NONE and len(labelled.subjects) > GROUP_FROM
+    by_namespace = _groups(labelled.subjects) if options.group or (options.group is None and is_large) else {}
+    if len(by_namespace) > 1:
+        groups = by_namespace
+    group_of = {subject: name for name, subjects in groups.items() for subject in subjects}
+    if groups is by_namespace:
+        edges = _group_edges(edges, group_of)
     members: Mapping[DomainObject, tuple[DomainObject, ...]] = {
         key: (key,) for key in {one.edge.domain_object for one in edges}
     }
@@ -89,26 +101,12 @@ def simplify(labelled: LabelledGraph, options: DrawingOptions) -> SimplifiedGrap
         edges, members = _fold(edges)
     shown = shown_edges(edges, options)
     marks: dict[str, list[LabelledEdge]] = defaultdict(list)
-    group_of = {subject: name for name, subjects in groups.items() for subject in subjects}
     for one in marked:
         marks[group_of[one.edge.subject]].append(one)
-    return SimplifiedGraph(
-        shown, groups, {name: tuple(common) for name, common in marks.items()}, members, len(edges) - len(shown)
-    )
-
-
-def _is_common(one: LabelledEdge, options: DrawingOptions) -> bool:
-    """Return True if a common rule allows an edge, and so does the transport."""
-    return one.common and one.outcome(options.transport) is EdgeOutcome.ALLOW
+    return SimplifiedGraph(labelled, options, shown, groups, marks, members, len(edges) - len(shown))
 
 
 # -- groups of subjects ----------------------------------------------------------------------------------------------
-
-
-def _uses_groups(labelled: LabelledGraph, options: DrawingOptions) -> bool:
-    if options.group is None:
-        return options.split is Split.NONE and len(labelled.subjects) > GROUP_FROM
-    return options.group
 
 
 def _groups(subjects: Sequence[str]) -> Mapping[str, tuple[str, ...]]:
@@ -120,9 +118,12 @@ def _groups(subjects: Sequence[str]) -> Mapping[str, tuple[str, ...]]:
         subjects: names, sorted.
     """
     deepest = max((namespace(subject).count("/") for subject in subjects), default=1)
-    groups: Mapping[str, Sequence[str]] = {}
+    groups: dict[str, list[str]] = {}
     for depth in range(deepest, 0, -1):
-        groups = _by_namespace(depth, subjects)
+        groups = defaultdict(list)
+        for subject in subjects:
+            levels = namespace(subject).split("/")[:depth]  # "/" alone is one level
+            groups["/".join([*levels, ""])].append(subject)
         if len(groups) <= GROUP_FROM:
             break
     return {
@@ -131,18 +132,8 @@ def _groups(subjects: Sequence[str]) -> Mapping[str, tuple[str, ...]]:
     }
 
 
-def _by_namespace(depth: int, subjects: Sequence[str]) -> Mapping[str, Sequence[str]]:
-    """Return subjects by the first levels of their namespaces; ``/`` alone is one level."""
-    groups: dict[str, list[str]] = defaultdict(list)
-    for subject in subjects:
-        levels = namespace(subject).split("/")[:depth]
-        groups["/".join([*levels, ""])].append(subject)
-    return groups
-
-
-def _group_edges(edges: Sequence[LabelledEdge], groups: Mapping[str, Sequence[str]]) -> tuple[LabelledEdge, ...]:
+def _group_edges(edges: Sequence[LabelledEdge], group_of: Mapping[str, str]) -> tuple[LabelledEdge, ...]:
     """Return the edges of groups: one for all members that have it with the same labels."""
-    group_of = {subject: name for name, subjects in groups.items() for subject in subjects}
     grouped: dict[tuple[object, ...], LabelledEdge] = {}
     for one in edges:
         edge = replace(one.edge, subject=group_of[one.edge.subject])

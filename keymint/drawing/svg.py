@@ -97,12 +97,22 @@ def draw(labelled: LabelledGraph, options: DrawingOptions, number: NodeNumber | 
     drawn = simplify(labelled, options)
     names = {key[1]: folded_name(members) for key, members in drawn.members.items() if len(members) > 1}
     marks = {name: f"+{len(common)} common" for name, common in drawn.marks.items()}
-    panels = [lay_out(*part, names, marks) for part in _parts(drawn, options.split)]
-    width = max(_LEAST_WIDTH, *(panel.width for panel in panels)) if panels else _LEAST_WIDTH
-    placed, sheet_width, sheet_height = _placed(panels, max(width, _SHEET) if len(panels) > 1 else width)
+    panels = [lay_out(*part, names, marks) for part in _parts(drawn)]
+    width = max((_LEAST_WIDTH, *(panel.width for panel in panels)))
+    sizes = [
+        (
+            max(panel.width, columns(panel.heading) * CHARACTER * 13 / 12),
+            panel.height + (LINE if panel.heading else 0.0),
+        )
+        for panel in panels
+    ]
+    most = max(width, _SHEET) if len(panels) > 1 else width
+    places, sheet_width, sheet_height = _in_rows(sizes, most, _PANEL_GAP)
     width = max(sheet_width, _LEAST_WIDTH)
-    samples, legend_height = place_entries(legend(labelled, drawn, panels, options.transport), width)
-    subtitle = _subtitle(labelled, options, drawn)
+    entries = [*legend(drawn, panels)]
+    sizes = [(40 + columns(text) * CHARACTER + 18, LINE) for text, _, _ in entries]
+    entry_places, _, legend_height = _in_rows(sizes, width, 0.0)
+    subtitle = _subtitle(drawn)
     subtitles = textwrap.wrap(subtitle, int(width / CHARACTER), break_long_words=False, break_on_hyphens=False)
     top = MARGIN + (1 + len(subtitles)) * LINE
     legend_top = top + 4
@@ -121,27 +131,31 @@ def draw(labelled: LabelledGraph, options: DrawingOptions, number: NodeNumber | 
             width=_number(width + 2 * MARGIN),
             height=_number(panel_top + sheet_height + MARGIN),
             margin=MARGIN,
-            legend=samples,
+            legend=[
+                {"text": text, "classes": classes, "form": form, "x": round(x, 1), "y": y}
+                for (text, classes, form), (x, y) in zip(entries, entry_places, strict=True)
+            ],
             legend_top=legend_top,
             rule_y=panel_top - 12,
             panels=[
                 {
                     "heading": panel.heading,
                     "x": left + x,
-                    "y": panel_top + y,
+                    "y": panel_top + y + (LINE if panel.heading else 0.0),
                     "lines": [
-                        _line(line, labelled, options, drawn, number)
+                        _line(line, drawn, number)
                         for line in sorted(panel.lines, key=lambda line: -priority(line.labelled, options.transport))
                     ],
-                    "boxes": [_box(box, labelled, drawn, number) for box in panel.boxes],
+                    "boxes": [_box(box, drawn, number) for box in panel.boxes],
                 }
-                for panel, x, y in placed
+                for panel, (x, y) in zip(panels, places, strict=True)
             ],
         )
     )
 
 
-def _parts(drawn: SimplifiedGraph, split: Split) -> Iterator[tuple[str, tuple[LabelledEdge, ...], tuple[str, ...]]]:
+def _parts(drawn: SimplifiedGraph) -> Iterator[tuple[str, tuple[LabelledEdge, ...], tuple[str, ...]]]:
+    split = drawn.options.split
     if split is Split.NONE:
         yield "", drawn.edges, tuple(drawn.groups)
         return
@@ -156,33 +170,34 @@ def _parts(drawn: SimplifiedGraph, split: Split) -> Iterator[tuple[str, tuple[La
         yield one_line(part), tuple(edges[part]), tuple(subjects)
 
 
-def _placed(panels: Sequence[Panel], most: float) -> tuple[list[tuple[Panel, float, float]], float, float]:
-    """Place panels in rows; return them with their positions, and the total width and height."""
-    placed = []
+def _in_rows(
+    sizes: Iterable[tuple[float, float]], most: float, gap: float
+) -> tuple[list[tuple[float, float]], float, float]:
+    """Return the positions of rectangles in rows of at most a width, and the total width and height, in pixels."""
+    places = []
     x = y = tallest = widest = 0.0
-    for panel in panels:
-        width = max(panel.width, columns(panel.heading) * CHARACTER * 13 / 12)
+    for width, height in sizes:
         if x and x + width > most:
-            x, y, tallest = 0.0, y + tallest + _PANEL_GAP, 0.0
-        heading = LINE if panel.heading else 0.0
-        placed.append((panel, x, y + heading))
+            x, y, tallest = 0.0, y + tallest + gap, 0.0
+        places.append((x, y))
         widest = max(widest, x + width)
-        tallest = max(tallest, panel.height + heading)
-        x += width + _PANEL_GAP
-    return placed, widest, y + tallest
+        tallest = max(tallest, height)
+        x += width + gap
+    return places, widest, y + tallest
 
 
 # -- words -----------------------------------------------------------------------------------------------------------
 
 
-def _subtitle(labelled: LabelledGraph, options: DrawingOptions, drawn: SimplifiedGraph) -> str:
+def _subtitle(drawn: SimplifiedGraph) -> str:
+    labelled, transport = drawn.labelled, drawn.options.transport
     objects = {one.edge.domain_object for one in labelled.edges}
     sizes = ((labelled.subjects, "subject"), (objects, "object"), (labelled.edges, "edge"))
     notes = [", ".join(quantity(len(items), noun) for items, noun in sizes)]
     if labelled.transports:
-        transports = labelled.transports if options.transport is None else [labelled.transports[options.transport]]
+        transports = labelled.transports if transport is None else [labelled.transports[transport]]
         which = transports[0] if len(transports) == 1 else "all transports"
-        false = sum(one.outcome(options.transport).false for one in labelled.edges)
+        false = sum(one.outcome(transport).false for one in labelled.edges)
         notes.append(f"{one_line(which)} compared with the policy: {quantity(false, 'mismatch')}")
     if marks := sum(map(len, drawn.marks.values())):
         notes.append(f"{quantity(marks, 'common edge')} shown as marks")
@@ -199,8 +214,8 @@ def _subtitle(labelled: LabelledGraph, options: DrawingOptions, drawn: Simplifie
 # -- shapes ----------------------------------------------------------------------------------------------------------
 
 
-def _box(box: NodeBox, labelled: LabelledGraph, drawn: SimplifiedGraph, number: NodeNumber | None) -> dict[str, object]:
-    key = box.key
+def _box(box: NodeBox, drawn: SimplifiedGraph, number: NodeNumber | None) -> dict[str, object]:
+    key, labelled = box.key, drawn.labelled
     members: Sequence[NodeKey] = drawn.groups[key] if isinstance(key, str) else drawn.members[key]
     title = box.title
     if len(members) > 1:
@@ -219,14 +234,8 @@ def _box(box: NodeBox, labelled: LabelledGraph, drawn: SimplifiedGraph, number: 
     }
 
 
-def _line(
-    line: EdgeLine,
-    labelled: LabelledGraph,
-    options: DrawingOptions,
-    drawn: SimplifiedGraph,
-    number: NodeNumber | None,
-) -> dict[str, object]:
-    outcome = line.labelled.outcome(options.transport)
+def _line(line: EdgeLine, drawn: SimplifiedGraph, number: NodeNumber | None) -> dict[str, object]:
+    outcome = line.labelled.outcome(drawn.options.transport)
     size = _HEAD * (1.25 if outcome.false else 1.0)
     forward = math.copysign(1.0, line.x2 - line.x1)
     start = line.x1 + (size * forward if line.inward else 0.0)
@@ -240,11 +249,11 @@ def _line(
         heads.append(_head(line.x2, line.y2, forward * size, barred=barred))
     if line.inward:
         heads.append(_head(line.x1, line.y1, -forward * size, barred=barred))
-    edge = line.labelled.edge
+    edge, transports = line.labelled.edge, drawn.labelled.transports
     return {
         "outcome": outcome,
-        "classes": f"edge {edge_classes(outcome, labels=bool(labelled.transports))}",
-        "title": sentence(line.labelled, labelled.transports),
+        "classes": f"edge {edge_classes(outcome, labels=bool(transports))}",
+        "title": sentence(line.labelled, transports),
         "curve": curve,
         "heads": "".join(heads),
         "audit": line.labelled.audit,
@@ -279,18 +288,20 @@ def _number(value: float) -> str:
 # -- legend -----------------------------------------------------------------------------------------------------------
 
 
-def legend(
-    labelled: LabelledGraph, drawn: SimplifiedGraph, panels: Sequence[Panel], transport: int | None
-) -> Iterator[LegendEntry]:
-    """Yield the entries of a legend.
+def legend(drawn: SimplifiedGraph, panels: Sequence[Panel]) -> Iterator[LegendEntry]:
+    """Yield the entries of a legend: subjects and objects, then edges.
 
     Args:
-        labelled: the graph.
-        drawn: the part of it that is drawn.
+        drawn: the part of a graph that is drawn.
         panels: its layout.
-        transport: index of the transport whose labels are drawn; None for all together.
     """
-    yield from _boxes(labelled, drawn, panels)
+    kinds = {box.kind for panel in panels for box in panel.boxes}
+    yield ("subject", "subject", "box")
+    if any(len(members) > 1 for members in drawn.groups.values()):
+        yield ("subjects of a namespace", "subject group", "box")
+    yield from ((name, kind, "box") for kind, name in KINDS.items() if kind in kinds)
+    if any(one.edge.object in drawn.labelled.patterns for one in drawn.edges):
+        yield ("expression", "pattern neutral", "box")
     roles = {role(one.edge.permission) for one in drawn.edges}
     for target, directed in (("object", OUTWARD), ("subject", INWARD)):
         named = [name for name in directed if name in roles and name != "relay"]
@@ -298,8 +309,8 @@ def legend(
             yield (f"to the {target}: {', '.join(named)}", "plain", "arrow")
     if "relay" in roles:
         yield ("both ways: relay", "plain", "both")
-    outcomes = {one.outcome(transport) for one in drawn.edges}
-    labels = bool(labelled.transports)
+    outcomes = {one.outcome(drawn.options.transport) for one in drawn.edges}
+    labels = bool(drawn.labelled.transports)
     compared = {EdgeOutcome.ALLOW: " (true positive)", EdgeOutcome.DENY: " (true negative)"} if labels else {}
     for outcome in (EdgeOutcome.ALLOW, EdgeOutcome.DENY, EdgeOutcome.FALSE_POSITIVE, EdgeOutcome.FALSE_NEGATIVE):
         if outcome in outcomes:
@@ -309,29 +320,3 @@ def legend(
         yield ("AUDIT rule", "audited", "dot")
     if drawn.marks:
         yield ("what every node may do (--common draws it)", "muted", "mark")
-
-
-def _boxes(labelled: LabelledGraph, drawn: SimplifiedGraph, panels: Sequence[Panel]) -> Iterator[LegendEntry]:
-    """Yield the entries on subjects and objects."""
-    kinds = {box.kind for panel in panels for box in panel.boxes}
-    yield ("subject", "subject", "box")
-    if any(len(members) > 1 for members in drawn.groups.values()):
-        yield ("subjects of a namespace", "subject group", "box")
-    for kind, name in KINDS.items():
-        if kind in kinds:
-            yield (name, kind, "box")
-    if any(one.edge.object in labelled.patterns for one in drawn.edges):
-        yield ("expression", "pattern neutral", "box")
-
-
-def place_entries(entries: Iterable[LegendEntry], width: float) -> tuple[list[dict[str, object]], float]:
-    """Place entries in lines of a width in pixels; return them and their total height."""
-    x = y = 0.0
-    placed: list[dict[str, object]] = []
-    for text, classes, form in entries:
-        needed = 40 + columns(text) * CHARACTER + 18
-        if x and x + needed > width:
-            x, y = 0.0, y + LINE
-        placed.append({"text": text, "classes": classes, "form": form, "x": round(x, 1), "y": y})
-        x += needed
-    return placed, y + LINE

@@ -35,7 +35,7 @@ class Gauge:
 def moments(name: str, help_: str, label: str, ends: Mapping[str, datetime | None]) -> Gauge:
     """Return a gauge of moments, in seconds since 1970; what has no moment has no value."""
     values = {text: moment.timestamp() for text, moment in ends.items() if moment is not None}
-    return Gauge(f"{name}_timestamp_seconds", help_, label, values)
+    return Gauge(f"keymint_{name}_timestamp_seconds", help_, label, values)
 
 
 def openmetrics(gauges: Iterable[Gauge]) -> Iterator[str]:
@@ -63,34 +63,27 @@ def gauges(session: Session, rows: Sequence[StatusRow]) -> tuple[Gauge, ...]:
     def of_enclaves(what: str) -> dict[str, datetime | None]:
         return {subject_of(row.package): term.last for row in rows for term in row.terms if term.what == what}
 
-    stale = {f"/{row.package}": float(bool(row.stale)) for row in rows if row.terms}
-    return (
-        moments(
-            "keymint_certificate_expiry", "End of the certificate of an enclave.", "subject", of_enclaves(CERTIFICATE)
-        ),
-        moments(
-            "keymint_permissions_expiry", "End of the permissions of an enclave.", "subject", of_enclaves(PERMISSIONS)
-        ),
-        moments(
-            "keymint_renew_after",
+    enclaves = (
+        ("certificate_expiry", "End of the certificate of an enclave.", of_enclaves(CERTIFICATE)),
+        ("permissions_expiry", "End of the permissions of an enclave.", of_enclaves(PERMISSIONS)),
+        (
+            "renew_after",
             "From when on 'keymint renew' renews an enclave; none while its authority must be renewed first.",
-            "subject",
             {f"/{row.package}": row.renew_after for row in rows},
         ),
-        Gauge("keymint_enclave_stale", "1 if an enclave differs from its sources or the policy.", "subject", stale),
-        moments(
-            "keymint_revocation_list_expiry",
-            "End of a revocation list; no process starts with an expired one.",
-            "authority",
-            lists,
-        ),
-        moments(
-            "keymint_authority_expiry", "End of the certificate of an authority.", "authority", authority_ends(session)
-        ),
-        moments(
-            "keymint_authority_renew_after",
+    )
+    stale = {f"/{row.package}": float(bool(row.stale)) for row in rows if row.terms}
+    authorities = (
+        ("revocation_list_expiry", "End of a revocation list; no process starts with an expired one.", lists),
+        ("authority_expiry", "End of the certificate of an authority.", authority_ends(session)),
+        (
+            "authority_renew_after",
             "From when on an authority cuts what it signs, so that a person must renew it.",
-            "authority",
             authority_renewals(session, terms),
         ),
+    )
+    return (
+        *(moments(name, help_, "subject", ends) for name, help_, ends in enclaves),
+        Gauge("keymint_enclave_stale", "1 if an enclave differs from its sources or the policy.", "subject", stale),
+        *(moments(name, help_, "authority", ends) for name, help_, ends in authorities),
     )

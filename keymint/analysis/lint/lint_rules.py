@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
-from functools import partial
 
 from comarmor.errors import Diagnostic, Origin, Severity, Spot
 from comarmor.patterns.glob import parse
@@ -57,7 +56,7 @@ def lint(policy: LoadedPolicy) -> list[Diagnostic]:
     written = policy.structure()
     named = policy.subjects()
     given_up: list[str] = []
-    subjects, complete = within_bounds((*named, *pattern_examples(policy, given_up)), partial(rules_of, policy))
+    subjects, complete = within_bounds(policy, (*named, *pattern_examples(policy, given_up)))
     attachments = ExpressionOrigins(written)
     findings = [*_names(subjects, attachments), *(_profiles(written) if written else ())]
     if complete:
@@ -152,7 +151,7 @@ def portability(
         distro: ROS 2 distribution whose name mapping applies.
         subjects: subjects with their rules.
     """
-    reported: set[tuple[str, Origin | None, str]] = set()
+    reported: set[tuple[str, Origin, str]] = set()
     spent = 0
     for subject, rules in with_distinct_rules(subjects):
         if spent > STEPS:
@@ -163,22 +162,15 @@ def portability(
             )
             return
         with step_limit(None) as counter:
-            diagnostics = list(_of_subject(build_type, SubjectRules(subject, rules), distro, reported))
+            diagnostics = list(build_type.check_rules(SubjectRules(subject, rules), distro) or ())
         spent += counter.spent
-        yield from diagnostics
-
-
-def _of_subject(
-    build_type: BuildType, rules: SubjectRules, distro: str, reported: set[tuple[str, Origin | None, str]]
-) -> Iterator[Diagnostic]:
-    for each in build_type.check_rules(rules, distro) or ():
-        where = each.where
-        if each.severity is Severity.NOTE or where is None:
-            continue
-        key = (each.code, where.alone(), each.message if each.code == "never-matches" else "")
-        if key not in reported:
-            reported.add(key)
-            yield replace(each, severity=Severity.WARNING, subject=each.subject or rules.subject)
+        for each in diagnostics:
+            if each.severity is Severity.NOTE or each.where is None:
+                continue
+            key = (each.code, each.where.alone(), each.message if each.code == "never-matches" else "")
+            if key not in reported:
+                reported.add(key)
+                yield replace(each, severity=Severity.WARNING, subject=each.subject or subject)
 
 
 def root_names(policy: LoadedPolicy, written: PolicyStructure) -> Iterator[Diagnostic]:

@@ -59,7 +59,7 @@ def similar_names(subjects: Mapping[str, tuple[Rule, ...]], attachments: Express
     for permission, other in _PEERS.items():
         candidates = _CandidateNames(name for name in exact[other] if has_no_peer(other, name))
         for name, (subject, rule) in exact[permission].items():
-            near = _nearest(candidates, name, _MOST_EDITS, given_up) if has_no_peer(permission, name) else None
+            near = candidates.nearest(name, _MOST_EDITS, given_up) if has_no_peer(permission, name) else None
             if near and frozenset((name, near)) not in reported:
                 reported.add(frozenset((name, near)))
                 peer, peer_rule = exact[other][near]
@@ -86,7 +86,7 @@ def similar_subjects(written: PolicyStructure) -> Iterator[Diagnostic]:
     given_up: list[str] = []
     often = _CandidateNames(name for name, places in named.items() if len(places) > 1)
     for name, places in named.items():
-        near = _nearest(often, name, 1, given_up) if len(places) == 1 else None
+        near = often.nearest(name, 1, given_up) if len(places) == 1 else None
         if near:
             yield Diagnostic.warning(
                 "name-similar",
@@ -123,15 +123,6 @@ def _plain(permission: str) -> str:
     return f"{plain} to" if plain == "subscribe" else plain
 
 
-def _nearest(candidates: _CandidateNames, name: str, most: int, given_up: list[str]) -> str | None:
-    """Return the most similar candidate; add the name to ``given_up`` if the search takes too many steps."""
-    try:
-        return candidates.nearest(name, most)
-    except StepLimitError:
-        given_up.append(name)
-        return None
-
-
 def _unknown(given_up: Sequence[str]) -> Iterator[Diagnostic]:
     """Yield a note on names that were not compared with all others."""
     if given_up:
@@ -159,29 +150,33 @@ class _CandidateNames:
                 self._by_numbers[words, tuple(_DIGITS.findall(name))].append(name)
         self._words = NameTrie(self._by_words)
 
-    def nearest(self, name: str, most: int) -> str | None:
+    def nearest(self, name: str, most: int, given_up: list[str]) -> str | None:
         """Return the most similar name within some edits that does not differ only in numbers.
 
-        Raises:
-            StepLimitError: there are too many similar names.
+        Of the names with the same words, those with the numbers of the name are compared, or else a few.
+
+        Args:
+            name: the name.
+            most: the number of edits.
+            given_up: receives the name if there are too many similar names.
         """
         if len(name) < _SHORTEST:
             return None
-        words = _DIGITS.sub("", name)
-        best: tuple[float, str] | None = None
-        with step_limit(STEPS):
-            for other in self._words.near(words, most):
-                for near in self._likely(name, other) if other != words else ():
-                    spend(len(name))
-                    ratio = difflib.SequenceMatcher(None, name, near).ratio()
-                    if ratio >= _SIMILAR and _edits(name, near) <= most and (best is None or (ratio, near) > best):
-                        best = (ratio, near)
-        return best[1] if best else None
-
-    def _likely(self, name: str, words: str) -> Sequence[str]:
-        """Return the names with these words and the numbers of ``name``, or else a few with these words."""
-        same = self._by_numbers.get((words, tuple(_DIGITS.findall(name))), ())
-        return same or self._by_words[words][:_FEW]
+        words, numbers = _DIGITS.sub("", name), tuple(_DIGITS.findall(name))
+        best = (0.0, "")
+        try:
+            with step_limit(STEPS):
+                for other in self._words.near(words, most):
+                    likely = self._by_numbers.get((other, numbers)) or self._by_words[other][:_FEW]
+                    for near in likely if other != words else ():
+                        spend(len(name))
+                        ratio = difflib.SequenceMatcher(None, name, near).ratio()
+                        if ratio >= _SIMILAR and _edits(name, near) <= most:
+                            best = max(best, (ratio, near))
+        except StepLimitError:
+            given_up.append(name)
+            return None
+        return best[1] or None
 
 
 def _edits(one: str, other: str) -> int:

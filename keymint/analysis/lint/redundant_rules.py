@@ -7,7 +7,7 @@ Every check has a limit of steps, and so have all checks together. Checks that r
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import field
 from itertools import groupby
 from operator import itemgetter
@@ -33,9 +33,9 @@ from keymint.analysis.rule_lists import (
     rule_patterns,
     universe,
 )
-from keymint.analysis.subject_patterns import SubjectClass, profile_subjects, with_distinct_rules
+from keymint.analysis.subject_patterns import SubjectClass, profile_subjects, rules_of, with_distinct_rules
 from keymint.analysis.symbolic_rules import SymbolicRules, placeholders, symbolic_patterns
-from keymint.api import PolicyStructure
+from keymint.api import LoadedPolicy, PolicyStructure
 from keymint.ir import Rule
 
 UNIT = 300_000
@@ -135,7 +135,9 @@ class RedundantRules:
         try:
             with step_limit(UNIT):
                 code = self._code(expression)
-                if code and not self._can_match(expression):
+                expanded = (self._subjects[each].expanded[expression] for each in self._subjects_of[expression])
+                texts = dict.fromkeys((rule, text) for rule, text, _ in expanded) if code else ()
+                if code and not any(can_name_exist(rule, text) for rule, text in texts):
                     self._removed.add(expression)  # reported as object-never, and no reason for other findings
                     return ""
                 return code
@@ -158,13 +160,6 @@ class RedundantRules:
     def _an_expansion(self, expression: _RuleExpression) -> tuple[Rule, str, Origin]:
         """Return rule, text and attachment of an expression for its first subject."""
         return self._subjects[self._subjects_of[expression][0]].expanded[expression]
-
-    def _can_match(self, expression: _RuleExpression) -> bool:
-        """Return True if an object can match an expression, for any of its subjects."""
-        texts = dict.fromkeys(
-            self._subjects[subject].expanded[expression][:2] for subject in self._subjects_of[expression]
-        )
-        return any(can_name_exist(rule, text) for rule, text in texts)
 
     def _code(self, expression: _RuleExpression) -> str:
         subjects = self._subjects_of[expression]
@@ -297,15 +292,13 @@ def _subject_rules(rules: Sequence[Rule], subject: str, attachments: ExpressionO
     return its_rules
 
 
-def within_bounds(
-    subjects: Iterable[str], rules: Callable[[str], tuple[Rule, ...]]
-) -> tuple[Mapping[str, tuple[Rule, ...]], bool]:
+def within_bounds(policy: LoadedPolicy, subjects: Iterable[str]) -> tuple[Mapping[str, tuple[Rule, ...]], bool]:
     """Return the rules of subjects, up to :data:`MOST_PAIRS` rules, and whether these are all subjects."""
     within: dict[str, tuple[Rule, ...]] = {}
     pairs = 0
     for subject in subjects:
         if pairs >= MOST_PAIRS:
             return within, False
-        within[subject] = rules(subject)
+        within[subject] = rules_of(policy, subject)
         pairs += len(within[subject])
     return within, True

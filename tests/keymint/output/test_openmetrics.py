@@ -27,4 +27,4 @@ def test_a_parser_reads_what_is_written(values: dict[str, float], help_: str) ->
 def test_what_has_no_moment_has_no_sample() -> None:
     moment = datetime(2027, 1, 15, 8, tzinfo=UTC)
     gauge = moments("x", "X.", "subject", {"/a": moment, "/b": None})
-    assert gauge == Gauge("x_timestamp_seconds", "X.", "subject", {"/a": 1_800_000_000})
+    assert gauge == Gauge("keymint_x_timestamp_seconds", "X.", "subject", {"/a": 1_800_000_000})
