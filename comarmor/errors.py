@@ -184,7 +184,7 @@ class ComArmorError(Exception):
         super().__init__(str(self.diagnostics[0]))
 
     @classmethod
-    def of(cls, diagnostics: Iterable[Diagnostic], exit_code: ExitCode = ExitCode.FAILURE) -> ComArmorError:
+    def of(cls, diagnostics: Iterable[Diagnostic], exit_code: ExitCode = ExitCode.FAILURE) -> Self:
         """Return an error that carries one or more diagnostics."""
         all_of_them = tuple(diagnostics)
         error = cls("", exit_code=exit_code)

@@ -39,7 +39,7 @@ from keymint.stages.pipeline import INSTALL, Request, conduct
 from keymint.stages.work import Crew, InstallRequest, Work
 from keymint.store.changes import Action, File, FolderChange, Plan, Step, folder_changes, secret_file
 from keymint.workspace.package_build_types import BUILD
-from keymint.workspace.policy_loading import record_unread
+from keymint.workspace.policy_loading import record_policy
 from keymint.workspace.session import Inputs, Session
 from keymint.workspace.workspace import DEFAULTS
 
@@ -97,7 +97,9 @@ def plan_adoption(inputs: Inputs, adoption: Adoption, crew: Crew) -> Plan:
     )
     work = conduct(work, request, crew)
     # From now on, each stage compares the packages with the policy.
-    return work.recording(record_unread(work.session, adoption.policy.subjects)).plan
+    # The policy is not in its place yet: no file has this fingerprint, so its files count as changed.
+    unread = {source.path: b"\0" for source in work.session.profile.policies}
+    return work.recording(record_policy(work.session, unread, adoption.policy.subjects)).plan
 
 
 def _profile(inputs: Inputs, adoption: Adoption) -> Plan:

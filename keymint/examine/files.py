@@ -28,8 +28,8 @@ from keymint.stages.proof.trust_anchors import shared_anchors
 from keymint.store.changes import file_mode
 from keymint.view.file_reading import FileStatus
 from keymint.view.stamps import Stamp, digest
-from keymint.workspace.enclave_changes import EnclaveChanges, build_types_in_use, copies_of, shared_copies
-from keymint.workspace.installed_enclaves import INSTALLED, enclave_names, files_in
+from keymint.workspace import installed_enclaves
+from keymint.workspace.installed_enclaves import INSTALLED, copies_of, enclave_names, files_in
 from keymint.workspace.package_build_types import load_packages, record_key, users
 from keymint.workspace.session import Inputs, Session
 from keymint.workspace.workspace import GITIGNORE
@@ -262,7 +262,7 @@ def outside_enclaves(session: Session, within: timedelta) -> Iterator[Diagnostic
     expected = _copies(session, names, outside)
     all_revoked = not names and withdrawn(session)
     own_scripts = environment_scripts.scripts(
-        session, session.profile.build_types if all_revoked else build_types_in_use(session)
+        session, session.profile.build_types if all_revoked else installed_enclaves.build_types_in_use(session)
     )
     targets = set(map(session.tree.follows, files))
     folders = [path for path, is_folder in entries if is_folder]
@@ -298,7 +298,7 @@ def _copies(session: Session, names: Sequence[str], outside: Iterable[str]) -> M
     """
     sources = frozenset(session.packages())
     gone = frozenset(names) - sources if sources.intersection(names) else frozenset[str]()  # all hidden: they need them
-    found = shared_copies(session, EnclaveChanges(removed=gone))
+    found = installed_enclaves.shared_copies(session, installed_enclaves.EnclaveChanges(removed=gone))
     if not any(found) and withdrawn(session):
         left = {"": {path.rpartition("/")[2]: Artifact(session.tree.try_read(path) or b"") for path in outside}}
         build_types = map(session.plugins.build_type, session.plugins.names("keymint.build_types"))

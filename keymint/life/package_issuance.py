@@ -19,8 +19,7 @@ from keymint.life.workspace_register import complete_register, register_change
 from keymint.names import subject_of
 from keymint.store.changes import Action, Plan, Step, folder_changes
 from keymint.view.stamps import digest
-from keymint.workspace.enclave_changes import EnclaveChanges, withdraw
-from keymint.workspace.installed_enclaves import INSTALLED, enclave_names
+from keymint.workspace.installed_enclaves import INSTALLED, EnclaveChanges, enclave_names, withdraw
 from keymint.workspace.session import Session
 
 _CREATE = "create"

@@ -192,18 +192,8 @@ def certificate_terms(files: Mapping[str, bytes], folder: str, names: Iterable[s
     for name in names:
         content, where = enclave_file(files, folder, name), Origin(f"{folder}/{name}")
         code = "certificate" if name == CERTIFICATE else "authority"
-        try:
-            periods = _periods(content)
-        except KeymintError as error:
-            raise error.at(where) from None
-        for subject, period in periods:
-            yield ValidityTerm(code, f"the certificate of {subject!r}", where, (period,))
-
-
-# Enclaves usually have the same authorities.
-@lru_cache(maxsize=64)
-def _periods(pem: bytes) -> tuple[tuple[str, tuple[datetime, datetime]], ...]:
-    return tuple((to_text(each.subject), certificates.period(each)) for each in certificates.load_bundle(pem))
+        for each in certificates.load_bundle(content, where):
+            yield ValidityTerm(code, f"the certificate of {_shown(each.subject)}", where, (certificates.period(each),))
 
 
 def utc_time(moment: datetime) -> str:

@@ -195,7 +195,8 @@ class CreateStage(PackageStage):
         planned = [*planned, *(self._infrastructure(name, build_type) for name, (_, build_type) in needed)]
         steps = steps_of(planned)
         diagnostics = tuple(diagnostic for each in planned for diagnostic in each.diagnostics)
-        return Plan(steps, state_after(record_policy(session, self._policy), STAGE, planned), diagnostics)
+        recorded = record_policy(session, self._policy.seen, self._policy.subjects())
+        return Plan(steps, state_after(recorded, STAGE, planned), diagnostics)
 
     def package(self, name: str) -> PackagePlan:
         """Return the plan for a package."""

@@ -39,7 +39,7 @@ from keymint.stages.identities import sign
 from keymint.stages.work import PackagePlan, PackageStage, state_after, steps_of
 from keymint.store.changes import Action, File, FolderChange, Plan, Step, by_folder
 from keymint.view.stamps import Stamp, digest, digest_files
-from keymint.workspace import enclave_changes
+from keymint.workspace import installed_enclaves
 from keymint.workspace.installed_enclaves import (
     CERTIFICATE,
     INSTALLED,
@@ -104,23 +104,23 @@ class InstallStage(PackageStage):
         removed = orphans(session) if prune else ()
         shared = _plan_shared(session, [each.name for each in planned], self._authorities, removed)
         withdrawn = {each.name: each.withdrawn for each in planned if each.withdrawn}
-        changes = enclave_changes.EnclaveChanges(changed, frozenset((*removed, *withdrawn)))
-        scripts, foreign = plan_scripts(session, enclave_changes.build_types_in_use(session, changes))
-        copies = enclave_changes.shared_copies(session, changes)
-        steps = [*steps_of(shared), *enclave_changes.shared_steps(session, copies), *scripts, *steps_of(planned)]
+        changes = installed_enclaves.EnclaveChanges(changed, frozenset((*removed, *withdrawn)))
+        scripts, foreign = plan_scripts(session, installed_enclaves.build_types_in_use(session, changes))
+        copies = installed_enclaves.shared_copies(session, changes)
+        steps = [*steps_of(shared), *installed_enclaves.shared_steps(session, copies), *scripts, *steps_of(planned)]
         diagnostics = [*(diagnostic for each in planned for diagnostic in each.diagnostics), *foreign]
         diagnostics += _outdated(session, [each.name for each in planned if each.outdated])
         diagnostics += (diagnostic for each in shared for diagnostic in each.diagnostics)
         diagnostics += terms.of_sources({each.name: each.lifetimes for each in planned}, session)
         diagnostics += orphan_findings(session, pruned=prune)
         state = state_after(session.state, STAGE, [*shared, *planned], (*removed, *withdrawn))
-        steps += [enclave_changes.withdraw(session, name, reason, changes) for name, reason in withdrawn.items()]
+        steps += [installed_enclaves.withdraw(session, name, reason, changes) for name, reason in withdrawn.items()]
         if prune:
             require_sources(session)
             diagnostics += _still_good(session, removed)
-            steps += [enclave_changes.removal_step(session, name, changes) for name in removed]
+            steps += [installed_enclaves.removal_step(session, name, changes) for name in removed]
             state = without_recorded_keys(state, IDENTITY_KEYS, removed)
-        steps += enclave_changes.obsolete_steps(session, copies, steps)
+        steps += installed_enclaves.obsolete_steps(session, copies, steps)
         return Plan(tuple(steps), state, tuple(diagnostics), _register(session, planned))
 
 

@@ -35,6 +35,7 @@ from keymint.store.changes import File, file_mode
 PREFIX, SUFFIX = ".keymint-", ".tmp"
 """Prefix and suffix of the names of temporary files and folders."""
 FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
+FILE = os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
 NEW_FILE = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
 MAX_COMPONENT = 255
 """Bytes that common file systems allow in one component of a path."""
@@ -62,9 +63,9 @@ def is_temporary(name: str) -> bool:
 
 
 @contextlib.contextmanager
-def opened_folder(name: str | Path, parent: int | None = None) -> Iterator[int]:
-    """Open a folder, relative to an open parent folder if given, without following a link."""
-    descriptor = os.open(name, FOLDER, dir_fd=parent)
+def open_at(name: str | Path, parent: int | None = None, flags: int = FOLDER) -> Iterator[int]:
+    """Open a folder, or with other flags a file, relative to an open parent folder if given; not through a link."""
+    descriptor = os.open(name, flags, 0o600, dir_fd=parent)
     try:
         yield descriptor
     finally:
@@ -85,11 +86,8 @@ def create(folder: int, shown: str | Path, name: str, file: File, owner: tuple[i
         if file.link:
             os.symlink(file.link, name, dir_fd=folder)
             return
-        opened = os.open(name, NEW_FILE, 0o600, dir_fd=folder)
-        try:
+        with open_at(name, folder, NEW_FILE) as opened:
             fill(opened, file, owner)
-        finally:
-            os.close(opened)
     except OSError as error:
         refuse(f"{shown}/{name}", error)
 
@@ -165,22 +163,17 @@ def require_regular(folder: int, shown: str | Path, name: str, *, or_link: bool 
     return status
 
 
-class reported:  # noqa: N801 - used as a function
-    """A context that turns an error of the system into a one-line error for the user.
+@contextlib.contextmanager
+def reported(path: str | Path) -> Iterator[None]:
+    """Turn an error of the system into a one-line error for the user; a context.
 
     Args:
         path: what is read or written in it.
     """
-
-    def __init__(self, path: str | Path) -> None:
-        self._path = path
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> None:
-        if isinstance(error, OSError) and not isinstance(error, KeymintError):
-            refuse(self._path, error)
+    try:
+        yield
+    except OSError as error:
+        refuse(path, error)
 
 
 def refuse(path: str | Path, error: OSError) -> NoReturn:
@@ -246,7 +239,6 @@ FEW = 64
 """Number of files up to which they are synchronised one by one."""
 _LOCAL = frozenset({"bcachefs", "btrfs", "ext2", "ext3", "ext4", "f2fs", "overlay", "tmpfs", "xfs", "zfs"})
 _SINCE = (5, 8)
-_READ = os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
 
 
 @functools.cache
@@ -296,29 +288,11 @@ def sync_tree(parent: int, name: str) -> None:
     Raises:
         OSError: the system could not write everything.
     """
-    try:
-        folder = os.open(name, FOLDER, dir_fd=parent)
-    except NotADirectoryError:
-        _sync_file(parent, name)
-        return
-    except OSError as error:
-        if error.errno != errno.ELOOP:
-            raise
-        return  # a symbolic link, which its folder contains
-    try:
-        for entry in list(os.scandir(folder)):
-            if entry.is_dir(follow_symlinks=False):
-                sync_tree(folder, entry.name)
-            elif entry.is_file(follow_symlinks=False):
-                _sync_file(folder, entry.name)
-        os.fsync(folder)
-    finally:
-        os.close(folder)
-
-
-def _sync_file(folder: int, name: str) -> None:
-    file = os.open(name, _READ, dir_fd=folder)
-    try:
-        os.fsync(file)
-    finally:
-        os.close(file)
+    kind = os.lstat(name, dir_fd=parent).st_mode
+    if stat.S_ISLNK(kind):
+        return  # its folder contains it
+    with open_at(name, parent, FILE) as opened:
+        for entry in list(os.scandir(opened)) if stat.S_ISDIR(kind) else ():
+            if entry.is_dir(follow_symlinks=False) or entry.is_file(follow_symlinks=False):
+                sync_tree(opened, entry.name)
+        os.fsync(opened)

@@ -21,12 +21,13 @@ from comarmor.values import dataclass
 from keymint.errors import KeymintError
 from keymint.store.changes import File
 from keymint.store.file_writing import (
+    FILE,
     NEW_FILE,
     create,
     give,
     is_temporary,
     mount_of,
-    opened_folder,
+    open_at,
     reported,
     require_regular,
     write_all,
@@ -99,7 +100,7 @@ def stage(
         if not os.access(".", os.W_OK | os.X_OK, dir_fd=old, effective_ids=True):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
         os.mkdir(name, 0o700, dir_fd=new_parent)
-        with opened_folder(name, new_parent) as new:
+        with open_at(name, new_parent) as new:
             give(new, (status.st_uid, status.st_gid))
             _copy_attributes(old, new)
             _carry(old, new, shown, content, carried, inside)
@@ -124,7 +125,7 @@ def _carry(old: int, new: int, shown: str, content: FolderContent, carried: dict
         if entry.is_dir(follow_symlinks=False):
             if name in content.removed:
                 raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
-            with opened_folder(name, old) as inner:
+            with open_at(name, old) as inner:
                 if mount_of(inner) != mount:
                     refuse_mount(f"{shown}/{name}")
                 below = content.folders.get(name, FolderContent())
@@ -155,7 +156,7 @@ def add(parent: int, name: str, shown: str, content: FolderContent) -> None:
     """
     with reported(shown):
         os.mkdir(name, 0o700, dir_fd=parent)
-        with opened_folder(name, parent) as new:
+        with open_at(name, parent) as new:
             for name_inside, file in content.files.items():
                 create(new, shown, name_inside, file)
             _add_folders(new, shown, content)
@@ -185,9 +186,7 @@ def _copy(old: int, new: int, shown: str, name: str) -> None:
             "is not a regular file, and cannot be kept when its folder is replaced",
             where=Origin(shown), help="remove it, or move it elsewhere", code="carry-refused",
         )  # fmt: skip
-    source = os.open(name, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC, dir_fd=old)
-    target = os.open(name, NEW_FILE, 0o600, dir_fd=new)
-    try:
+    with open_at(name, old, FILE) as source, open_at(name, new, NEW_FILE) as target:
         while chunk := os.read(source, 1 << 20):
             write_all(target, chunk)
         give(target, (status.st_uid, status.st_gid))
@@ -200,9 +199,6 @@ def _copy(old: int, new: int, shown: str, name: str) -> None:
         _copy_attributes(source, target)
         os.fchmod(target, stat.S_IMODE(status.st_mode))
         os.utime(target, ns=(status.st_atime_ns, status.st_mtime_ns))
-    finally:
-        os.close(source)
-        os.close(target)
 
 
 def _copy_attributes(old: int, new: int) -> None:

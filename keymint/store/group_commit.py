@@ -20,7 +20,7 @@ from keymint.store.file_writing import (
     UNABLE,
     exchange_names,
     is_temporary,
-    opened_folder,
+    open_at,
     reported,
     sync_file_system,
     sync_tree,
@@ -54,10 +54,10 @@ def commit(
     old: list[tuple[Exchange, str]] = []
     with OpenFolders(roots, create=False) as folders:
         try:
-            _sync(exchanges, folders, sum(each.size for each in exchanges), staged=True)
+            _sync(exchanges, folders, staged=True)
             if ready is not None:
                 # Their temporary names must be durable as well, since the next run looks for them.
-                _sync(exchanges, folders, len({each.folder for each in exchanges}), staged=False)
+                _sync(exchanges, folders, staged=False)
                 recorded = True
                 ready(tuple(exchange for group in groups for exchange in group))
             for group in groups:
@@ -68,13 +68,13 @@ def commit(
                         left = make_visible(folders.open(exchange.folder), exchange)
                     if left is not None:
                         old.append((exchange, left))
-                _sync(group, folders, len({each.folder for each in group}), staged=False)
+                _sync(group, folders, staged=False)
             cleared = [exchange for exchange, _ in old]
             while old:
                 _clear_away(*old[-1], folders)
                 old.pop()
             # A run takes its mark back after this, and the next run removes what is left only if there is a mark.
-            _sync(cleared, folders, len({each.folder for each in cleared}), staged=False)
+            _sync(cleared, folders, staged=False)
         except BaseException:
             for exchange, left in old:
                 with contextlib.suppress(Exception):
@@ -212,10 +212,10 @@ def _move_into(
     Raises:
         OSError: the system refuses.
     """
-    with opened_folder(name, parent) as old, contextlib.ExitStack() as opened:
+    with open_at(name, parent) as old, contextlib.ExitStack() as opened:
         target: int | None = None
         with contextlib.suppress(FileNotFoundError):
-            target = opened.enter_context(opened_folder(new[1], new[0])) if new else None
+            target = opened.enter_context(open_at(new[1], new[0])) if new else None
         if target is not None and not stat.S_IMODE(os.fstat(old).st_mode) & 0o077:
             close_to_others(target)
         for entry in sorted(os.scandir(old), key=lambda entry: entry.name):
@@ -284,11 +284,12 @@ def _move_along(exchange: Exchange, moved: Exchange, folders: OpenFolders) -> No
 # -- durability --------------------------------------------------------------------------------------------------
 
 
-def _sync(exchanges: Iterable[Exchange], folders: OpenFolders, size: int, *, staged: bool) -> None:
-    """Synchronise what was staged, or the names that were exchanged; the size is how much there is to synchronise."""
+def _sync(exchanges: Sequence[Exchange], folders: OpenFolders, *, staged: bool) -> None:
+    """Synchronise what was staged, or the names that were exchanged."""
     of_folder: dict[str, list[Exchange]] = {}
     for exchange in exchanges:
         of_folder.setdefault(exchange.folder, []).append(exchange)
+    size = sum(each.size for each in exchanges) if staged else len(of_folder)
     done: dict[int, bool] = {}
     """File systems by their number, with whether they were synchronised."""
     synced: set[str] = set()

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import os
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -119,9 +119,7 @@ def load(content: bytes, records: Path) -> Journal:
         content: result of :meth:`Journal.dump`.
         records: the folder of records.
     """
-    document = unsealed_document(content, VERSION)
-    if document is None:
-        return Journal()
+    document = unsealed_document(content, VERSION) or {}
     try:
         command, inputs, packages = document["intent"]
         exchanges = tuple(_exchange(records, *row) for row in document["exchanges"])
@@ -157,7 +155,9 @@ def recover(journal: Journal, roots: Roots) -> Journal:
     """
     exchanges = journal.exchanges
     for exchange in exchanges:
-        if waiting := _waiting(exchange):  # it may be the only complete copy
+        # The name of a new folder for which the one in its place began to be moved away.
+        waiting = waiting_name(exchange.staged) if exchange.staged and exchange.replaces else ""
+        if waiting and os.path.lexists(f"{exchange.folder}/{waiting}"):  # it may be the only complete copy
             commit(roots, [replace(exchange, staged=waiting)], lambda _: None)
     finished = journal.finished or not (all(map(_is_pending, exchanges)) or any(map(_is_lost, exchanges)))
     if finished:
@@ -179,25 +179,14 @@ def _is_pending(exchange: Exchange) -> bool:
         return any(map(os.path.lexists, paths))
     # After two names are exchanged, the former folder has the name of what was staged.
     return os.path.lexists(f"{exchange.folder}/{exchange.staged}") and (
-        not exchange.replaces or not _has(place, exchange.changed)
+        not exchange.replaces or any(_digest(f"{place}/{path}") != wanted for path, wanted in exchange.changed.items())
     )
-
-
-def _waiting(exchange: Exchange) -> str:
-    """Return the name of a new folder for which the one in its place began to be moved away; empty if it did not."""
-    name = waiting_name(exchange.staged) if exchange.staged and exchange.replaces else ""
-    return name if name and os.path.lexists(f"{exchange.folder}/{name}") else ""
 
 
 def _is_lost(exchange: Exchange) -> bool:
     """Tell whether a new name is not there, and what was staged for it is gone: another workspace removed it."""
     names = (exchange.staged, exchange.name) if exchange.staged and not exchange.replaces else ()
     return bool(names) and not any(os.path.lexists(f"{exchange.folder}/{name}") for name in names)
-
-
-def _has(folder: str, changed: Mapping[str, str | None]) -> bool:
-    """Tell whether a folder has the files that were staged, each given with its digest, or None if it was removed."""
-    return all(_digest(f"{folder}/{path}") == wanted for path, wanted in changed.items())
 
 
 def _digest(path: str) -> str | None:

@@ -8,12 +8,10 @@ import os
 import stat
 from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from comarmor.errors import Origin
 from keymint.errors import KeymintError
-from keymint.store.file_writing import FOLDER, check_component, make_folder, opened_folder, reported
+from keymint.store.file_writing import FOLDER, check_component, make_folder, open_at, reported
 
 
 class Roots:
@@ -44,7 +42,7 @@ class Roots:
         raise KeymintError("is outside the workspace", where=Origin(path), code="confined")
 
 
-class OpenFolders:
+class OpenFolders(contextlib.AbstractContextManager["OpenFolders"]):
     """Opens folders below roots; the last one and those on the way to it stay open.
 
     Args:
@@ -57,10 +55,7 @@ class OpenFolders:
         self._create = create
         self._way: list[tuple[str, int]] = []
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         self._leave(0)
 
     def _leave(self, depth: int) -> None:
@@ -107,7 +102,7 @@ class OpenFolders:
                     make_folder(root, 0o700 if self._roots.private[root] else 0o755)
                 above = os.path.dirname(root)
                 if os.access(above, os.R_OK):
-                    with opened_folder(above) as opened:
+                    with open_at(above) as opened:
                         os.fsync(opened)
             return os.open(root, FOLDER)
 

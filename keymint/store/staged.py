@@ -20,7 +20,7 @@ from keymint.store.file_writing import (
     check_component,
     create,
     mount_of,
-    opened_folder,
+    open_at,
     refuse,
     reported,
     require_regular,
@@ -153,9 +153,8 @@ class Staging:
                     self._exchanges.append(Exchange(content.order, around, name, None, replaces=True, changed=gone))
                     return
                 content.removed.intersection_update(os.listdir(old))
-        changing = {*content.files, *content.removed}
-        if len(changing) > 1:
-            with reported(shown):
+            changing = {*content.files, *content.removed}
+            if len(changing) > 1:
                 if mount_of(old) != mount_of(parent):
                     refuse_mount(shown)
                 carried: dict[str, int] = {}
@@ -165,9 +164,8 @@ class Staging:
                 )  # fmt: skip
                 with self._staging(parent, exchange) as staged:
                     stage(old, parent, staged, shown, content, carried)
-            return
-        if content.private:
-            with reported(shown):
+                return
+            if content.private:
                 close_to_others(old)
         for file in changing:
             self._file(content.own, old, shown, file, content.files.get(file))
@@ -203,7 +201,7 @@ def _is_emptied(old: int, content: FolderContent) -> bool:
             continue
         if entry.name not in content.folders:
             return False
-        with opened_folder(entry.name, old) as opened:
+        with open_at(entry.name, old) as opened:
             if not _is_emptied(opened, content.folders[entry.name]):
                 return False
     return True

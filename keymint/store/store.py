@@ -276,12 +276,8 @@ class Store:
             KeymintError: the system refuses.
         """
         begun = self._journal
-
-        def ready(exchanges: tuple[Exchange, ...]) -> None:
-            if begun is not None:
-                self._record(replace(begun, exchanges=exchanges))
-
-        commit(self._roots, staged, ready if begun else None)
+        record = None if begun is None else lambda names: self._record(replace(begun, exchanges=names))
+        commit(self._roots, staged, record)
 
     def discard(self, staged: Iterable[Exchange]) -> None:
         """Remove what was staged."""

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from keymint.store.changes import File
-from keymint.store.file_writing import NEW_FILE, fill, reported, require_regular
+from keymint.store.file_writing import FILE, NEW_FILE, fill, open_at, reported, require_regular
 from keymint.store.open_folders import OpenFolders, Roots
 from keymint.store.store import wait_for_lock
 
@@ -92,16 +92,10 @@ def _created(folder: int, name: str, on_wait: Callable[[], None]) -> int:
 
 def _remove_left_over(folder: int, name: str, on_wait: Callable[[], None]) -> None:
     """Remove a file once nobody holds its lock."""
-    try:
-        opened = os.open(name, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, dir_fd=folder)
-    except FileNotFoundError:
-        return
-    try:
+    with contextlib.suppress(FileNotFoundError), open_at(name, folder, FILE | os.O_RDWR) as opened:
         wait_for_lock(opened, fcntl.LOCK_EX, on_wait)
         if _is_named(opened, folder, name):
             os.unlink(name, dir_fd=folder)
-    finally:
-        os.close(opened)
 
 
 def _is_named(opened: int, folder: int, name: str) -> bool:

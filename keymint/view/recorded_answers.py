@@ -13,6 +13,7 @@ import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
+from itertools import takewhile
 from typing import NamedTuple
 
 from comarmor.regex import lazy_regex
@@ -141,7 +142,10 @@ def record(
     state = f"{root}/{_RECORDS}/{_RECORD}"
     spaces = tuple(f"{os.path.realpath(space)}/" for space in sight.roots)
     elsewhere = (path for path in seen if not os.path.realpath(path).startswith(spaces))
-    others = {path: path_status(path) for path in (*elsewhere, *_profiles_below(call, root))}
+    # A profile would make a folder between the root and the current directory a workspace.
+    below = _upward(call.cwd if f"{call.cwd}/".startswith(f"{root}/") else "")
+    profiles = (f"{folder}/{_PROFILE}" for folder in takewhile(lambda folder: folder != root, below))
+    others = {path: path_status(path) for path in (*elsewhere, *profiles)}
     own = path_status(state)
     ticks = {newest: _TICK if newest % 1_000_000_000 else _COARSE_TICK for _, newest in others.values()}
     if (
@@ -192,14 +196,6 @@ def _upward(folder: str) -> Iterator[str]:
     while folder.startswith("/"):
         yield folder
         folder = folder.rpartition("/")[0]
-
-
-def _profiles_below(call: Call, root: str) -> Iterator[str]:
-    """Yield the profiles that would make a folder between the root and the current directory a workspace."""
-    for folder in _upward(call.cwd if f"{call.cwd}/".startswith(f"{root}/") else ""):
-        if folder == root:
-            return
-        yield f"{folder}/{_PROFILE}"
 
 
 def _identity(call: Call, root: str, variables: Iterable[str]) -> str:

@@ -134,9 +134,7 @@ def load(content: bytes | None) -> State:
     Args:
         content: result of :meth:`State.dump`.
     """
-    document = unsealed_document(content, VERSION)
-    if document is None:
-        return State()
+    document = unsealed_document(content, VERSION) or {}
     try:
         texts = tuple(map(str, document["texts"]))
         shapes = [tuple(tuple(map(str, names)) for names in shape) for shape in document["shapes"]]

@@ -97,29 +97,26 @@ class Tree:
         """Return this view with more planned content, which hides the disk; None for a file that will be removed."""
         tree = Tree()
         tree.__dict__.update(self.__dict__)  # they share what is known of the disk
-        tree._files, tree._folders = dict(self._files), dict(self._folders)
-        tree._add(changes)
-        return tree
-
-    def _add(self, changes: Iterable[tuple[Path | str, Content]]) -> None:
-        """Add planned changes; what is shared with other views is copied before it changes."""
+        files, folders = tree._files, tree._folders = dict(self._files), dict(self._folders)
+        # What is shared with other views is copied before it changes.
         own: set[str] = set()
         own_folders: set[str] = set()
         for path, content in changes:
             folder, _, name = str(path).rpartition("/")
             if folder not in own:
                 own.add(folder)
-                self._files[folder] = dict(self._files.get(folder, ()))
-            self._files[folder][name] = content
+                files[folder] = dict(files.get(folder, ()))
+            files[folder][name] = content
             while folder and content is not None:
                 around, _, name = folder.rpartition("/")
-                if name in self._folders.get(around, ()):
+                if name in folders.get(around, ()):
                     break
                 if around not in own_folders:
                     own_folders.add(around)
-                    self._folders[around] = set(self._folders.get(around, ()))
-                self._folders[around].add(name)
+                    folders[around] = set(folders.get(around, ()))
+                folders[around].add(name)
                 folder = around
+        return tree
 
     def _planned(self, path: str) -> tuple[bool, Content]:
         """Return whether a file is planned, and its content: None if it will be removed."""

@@ -15,7 +15,7 @@ from keymint.api import Artifact, AuthorityRole, BuildType, Package
 from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.view.stamps import digest
-from keymint.workspace.session import Session, once, once_of_sources
+from keymint.workspace.session import Session, once
 
 BUILD = "build"
 """Key of the record of built packages."""
@@ -139,12 +139,7 @@ def inputs_digest(session: Session, name: str, build_types: Iterable[str] | None
         build_types = stamp.build_types if stamp is not None else ()
     shares = any(shared_builder(session, each) for each in build_types)
     places = (str(session.workspace.install),) if shares else ()
-    return _inputs_digest(session, session.sources_digest(name), *places)
-
-
-@once_of_sources
-def _inputs_digest(session: Session, sources: str, *places: str) -> str:
-    return digest(session.profile_digest, sources, session.plugins.versions, *places)
+    return digest(session.profile_digest, session.sources_digest(name), session.plugins.versions, *places)
 
 
 @once

@@ -151,20 +151,16 @@ def recorded_subjects(session: Session) -> frozenset[str]:
     return frozenset(recorded.outputs if recorded is not None else ())
 
 
-def record_policy(session: Session, policy: LoadedPolicy) -> State:
-    """Return the state with the files that the policy was read from and the subjects that it names."""
-    return _recorded(session, {str(path): value.hex() for path, value in policy.seen.items()}, policy.subjects())
+def record_policy(session: Session, seen: Mapping[Path, bytes], subjects: Iterable[str]) -> State:
+    """Return the state with a policy on record.
 
-
-def record_unread(session: Session, subjects: Iterable[str]) -> State:
-    """Return the state with the subjects of a policy that is not in its place yet: its files count as changed."""
-    # No file has this fingerprint.
-    return _recorded(session, {str(source.path): "00" for source in session.profile.policies}, subjects)
-
-
-def _recorded(session: Session, seen: Mapping[str, str], subjects: Iterable[str]) -> State:
-    locations = locations_digest(session)
-    stamps = {_FILES: Stamp(locations, seen), _SUBJECTS: Stamp(locations, dict.fromkeys(subjects, ""))}
+    Args:
+        session: the workspace and its profile.
+        seen: the paths that the policy was read from, each with its fingerprint; see :attr:`LoadedPolicy.seen`.
+        subjects: the subjects that it names.
+    """
+    locations, outputs = locations_digest(session), {str(path): value.hex() for path, value in seen.items()}
+    stamps = {_FILES: Stamp(locations, outputs), _SUBJECTS: Stamp(locations, dict.fromkeys(subjects, ""))}
     return session.state.updated(_STAGE, stamps)
 
 

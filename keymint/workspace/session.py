@@ -127,20 +127,12 @@ class Inputs:
         for plugin in self.plugins.profile_types().values():
             if plugin.recognises(files):
                 profile = plugin.load(root, files)
-                distro = "" if profile.distro_named else self._installed_distro(profile)
-                return Session(
-                    self.workspace,
-                    self.tree,
-                    self.state,
-                    self.plugins,
-                    self.environment,
-                    self.now,
-                    self.tokens,
-                    profile=plugin.with_distro(profile, distro) if distro else profile,
-                    profile_digest=digest(
-                        digest_files(files), self.plugins.versions, __version__, *filter(None, [distro])
-                    ),
-                )
+                loaded_from = [digest_files(files), self.plugins.versions, __version__]
+                if not profile.distro_named and (distro := self._installed_distro(profile)):
+                    profile = plugin.with_distro(profile, distro)
+                    loaded_from.append(distro)
+                own = self.workspace, self.tree, self.state, self.plugins, self.environment, self.now, self.tokens
+                return Session(*own, profile, digest(*loaded_from))
         raise KeymintError(
             "no installed profile type recognises this profile",
             where=self.profile_marker(),
@@ -263,14 +255,11 @@ class Session(Inputs):
         changed = {folder for folder in changed if folder.startswith(src)}
         if changed:
             files = [key for key in made if key[0] == _FILES]
-            made = {key: made[key] for key in files if changed.isdisjoint(self._folders(key[1]))}
+            made = {
+                key: made[key] for key in files if changed.isdisjoint((f"{src}{key[1]}/", f"{src}{key[1]}/{DEFAULTS}/"))
+            }
         tree = self.tree.overlaid(plan.overlay())
         return replace(self, tree=tree, state=plan.state, _made_of_sources=made)
-
-    def _folders(self, name: str) -> tuple[str, str]:
-        """Return the folders of a package, each with a slash."""
-        folder = f"{self.workspace.src}/{name}/"
-        return folder, f"{folder}{DEFAULTS}/"
 
     def package_files(self, name: str) -> dict[str, bytes]:
         """Return the XML files of a package, those of its ``package.defaults`` included; empty if there is none."""

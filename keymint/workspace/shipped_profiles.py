@@ -6,7 +6,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 from comarmor.errors import Diagnostic
 from comarmor.text import did_you_mean, first_few, quantity, quote
@@ -17,6 +16,7 @@ from keymint.store.changes import Action, FolderChange, Plan, Step, folder_chang
 from keymint.workspace.session import Session
 
 STAGE = "create"
+_NOTHING = AcceptedPackage({})
 
 
 class UnacceptedPackagesError(KeymintError):
@@ -65,9 +65,7 @@ def refuse_unaccepted(session: Session, policy: LoadedPolicy, before: Callable[[
     found = {each: value for each, value in accepted.items() if each.sha256 != value}
     if not found:
         return
-    error = UnacceptedPackagesError("")
-    error.diagnostics = tuple(_diagnostics(shipped, found))
-    error.args = (str(error.diagnostics[0]),)
+    error = UnacceptedPackagesError.of(_diagnostics(shipped, found))
     error.files, error.before, error.after = found, before, policy
     raise error
 
@@ -121,7 +119,7 @@ def plan_acceptance(
                 code="package-unknown",
                 exit_code=ExitCode.USAGE,
             )
-        before = _of(accepted, name)
+        before = accepted.get(name, _NOTHING)
         files = {each.path: each.sha256 for each in by_package[name]}
         if wanted and wanted != package_digest(files):
             raise KeymintError(
@@ -132,7 +130,11 @@ def plan_acceptance(
                 code="package-changed",
             )
         accepted[name] = AcceptedPackage(files, before.follows_links or trust_links)
-        changes = tuple(_copied(session, profile.package_copies / name, by_package[name], before))
+        copies = {each.path: each.content for each in by_package[name]}
+        changes = (
+            *folder_changes(session.tree, profile.package_copies / name, copies),
+            *_removed(session, name, (path for path in before.files if path not in copies)),
+        )
         action = Action.UPDATED if changes or accepted[name] != before else Action.UNCHANGED
         detail = f"accepted {quantity(len(files), 'file')} of the package {name}"
         steps.append(Step(STAGE, "", action, changes, detail))
@@ -184,22 +186,13 @@ def _removed(session: Session, name: str, paths: Iterable[str]) -> Iterator[Fold
             yield FolderChange(path.parent, removed=(path.name,))
 
 
-def _copied(
-    session: Session, folder: Path, files: Sequence[ShippedFile], before: AcceptedPackage
-) -> Iterator[FolderChange]:
-    """Yield the changes that make the copies of a package those of some files."""
-    kept = {each.path for each in files}
-    yield from folder_changes(session.tree, folder, {each.path: each.content for each in files})
-    yield from _removed(session, folder.name, (each for each in before.files if each not in kept))
-
-
 def _refuse_edited_copies(session: Session, shipped: Sequence[ShippedFile]) -> None:
     """Refuse copies that are not what was accepted: the comparison with them would not tell what changes."""
     copies = session.profile.package_copies
     if copies is None:
         return
     packages = dict.fromkeys(each.package for each in shipped)
-    named = [(name, path) for name in packages for path in _of(session.profile.packages, name).files]
+    named = [(name, path) for name in packages for path in session.profile.packages.get(name, _NOTHING).files]
     for name, path in dict.fromkeys((*named, *((each.package, each.path) for each in shipped))):
         content = session.tree.read(copies / name / path)
         if content is not None and hashlib.sha256(content).hexdigest() != _accepted(session, name, path):
@@ -231,10 +224,6 @@ def _diagnostics(shipped: Sequence[ShippedFile], found: Mapping[ShippedFile, str
         yield Diagnostic.error(code, message, own[0].where, help_)
 
 
-def _of(packages: Mapping[str, AcceptedPackage], name: str) -> AcceptedPackage:
-    return packages.get(name) or AcceptedPackage({})
-
-
 def _accepted(session: Session, package: str, path: str) -> str:
     """Return the SHA-256 of a file that was accepted, or an empty text."""
-    return _of(session.profile.packages, package).files.get(path, "")
+    return session.profile.packages.get(package, _NOTHING).files.get(path, "")
