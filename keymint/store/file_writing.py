@@ -163,17 +163,19 @@ def require_regular(folder: int, shown: str | Path, name: str, *, or_link: bool 
     return status
 
 
-@contextlib.contextmanager
-def reported(path: str | Path) -> Iterator[None]:
-    """Turn an error of the system into a one-line error for the user; a context.
+class reported(contextlib.AbstractContextManager["reported"]):  # noqa: N801 - used as a function
+    """A context that turns an error of the system into a one-line error for the user.
 
     Args:
         path: what is read or written in it.
     """
-    try:
-        yield
-    except OSError as error:
-        refuse(path, error)
+
+    def __init__(self, path: str | Path) -> None:
+        self._path = path
+
+    def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> None:
+        if isinstance(error, OSError):
+            refuse(self._path, error)
 
 
 def refuse(path: str | Path, error: OSError) -> NoReturn:
