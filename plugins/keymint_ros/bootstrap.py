@@ -136,11 +136,6 @@ def bootstrap(request: Bootstrap) -> Mapping[str, bytes]:
     return files
 
 
-def has_grant_validity(build_types: Sequence[str]) -> bool:
-    """Tell whether the grants of packages with these build types have a validity, which some transport reads."""
-    return _DDS in build_types
-
-
 def policies(path: str) -> bytes:
     """Return the ``policies.xml`` of a profile with one policy.
 
@@ -154,20 +149,14 @@ def policies(path: str) -> bytes:
     return filled_file("profile/policies.xml", name=PurePosixPath(path).stem or "policy", path=path)
 
 
-def package(build_types: tuple[str, ...], role: Role = Role.SUBJECT) -> dict[str, bytes]:
+@lru_cache
+def package(build_types: tuple[str, ...], role: Role = Role.SUBJECT) -> Mapping[str, bytes]:
     """Return the files of a new package with these build types, except its permissions."""
     documents = [name for each in build_types for name in _DOCUMENTS.get(each, ())]
-    return {
-        MARKER: _package_manifest(build_types, role),
-        **{name: package_document(name) for name in (*documents, "identities.xml")},
-    }
-
-
-@lru_cache
-def _package_manifest(build_types: tuple[str, ...], role: Role) -> bytes:
     of_subject = "dds" if _DDS in build_types else "subject"
-    template = of_subject if role is Role.SUBJECT else "infrastructure"
-    return filled_file(f"package/keymint_package.{template}.xml", build_types=_elements(build_types))
+    template = f"package/keymint_package.{of_subject if role is Role.SUBJECT else 'infrastructure'}.xml"
+    files = {name: package_document(name) for name in (*documents, "identities.xml")}
+    return {MARKER: filled_file(template, build_types=_elements(build_types)), **files}
 
 
 @lru_cache

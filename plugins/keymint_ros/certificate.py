@@ -131,11 +131,6 @@ class IssuedElement:
         """The place of the element."""
         return Origin(self.file, self.line)
 
-    @property
-    def is_empty(self) -> bool:
-        """Whether the element sets nothing, so that everything comes from the defaults."""
-        return self == IssuedElement(self.line, self.file)
-
     def in_file(self, file: str) -> IssuedElement:
         """Return the element of a document, which is read without a look at its path.
 
@@ -183,8 +178,8 @@ def read(element: etree._Element, known: Collection[str]) -> IssuedElement:
     )
 
 
-def complete(own: IssuedElement, defaults: IssuedElement, values: Mapping[str, str]) -> CertificateSpec:
-    """Return the certificate that an element and its defaults describe together.
+def complete(own: IssuedElement, defaults: IssuedElement, values: Mapping[str, str]) -> tuple[CertificateSpec, Origin]:
+    """Return the certificate that an element and its defaults describe together, and the place that names its issuer.
 
     Args:
         own: the element; the defaults themselves if there is none.
@@ -198,24 +193,19 @@ def complete(own: IssuedElement, defaults: IssuedElement, values: Mapping[str, s
     period = own.validity or defaults.validity
     if subject_name is None or period is None:
         raise incomplete("certificate", "subject_name" if subject_name is None else "validity", defaults.origin)
-    return CertificateSpec(
+    names_issuer = defaults if own.issuer is None and defaults.issuer is not None else own
+    says_nothing = own == IssuedElement(own.line, own.file)
+    spec = CertificateSpec(
         subject_name=expanded_name(subject_name, values) if values else subject_name,
         validity=period,
         serial=(defaults.serial if own.serial is None else own.serial) or None,
-        issuer=issuer(own, defaults)[0],
+        issuer=names_issuer.issuer or "",
         hash_algorithm=own.hash_algorithm or defaults.hash_algorithm or _DEFAULT_HASH,
         key=_complete_key(own.key or defaults.key or _DEFAULT_KEY, defaults.key),
         extensions=(defaults.extensions if own.extensions is None else own.extensions) or (),
-        origin=defaults.origin if own.is_empty else own.origin,
+        origin=defaults.origin if says_nothing else own.origin,
     )
-
-
-def issuer(own: IssuedElement, defaults: IssuedElement) -> tuple[str, Origin]:
-    """Return the name of the issuing authority (empty if none is given) and the place that gives it."""
-    for element in (own, defaults):
-        if element.issuer is not None:
-            return element.issuer, Origin(element.file, element.issuer_line)
-    return "", own.origin
+    return spec, Origin(names_issuer.file, names_issuer.issuer_line or names_issuer.line)
 
 
 def pem(element: etree._Element | None) -> bytes:
@@ -289,8 +279,11 @@ def _complete_key(key: KeySpec, defaults: KeySpec | None) -> KeySpec:
 
 
 def _key(element: etree._Element) -> KeySpec:
-    uri = element.find("pkcs11")
-    key = KeySpec("") if element.find("asymmetric_type") is None else _key_type(element)
+    uri, key = element.find("pkcs11"), KeySpec("")
+    for algorithm in element.iterfind("asymmetric_type/*"):
+        parameter = text(algorithm[0]) or ""
+        is_ec = algorithm.tag == "ec"
+        key = KeySpec("ec", curve=_CURVES.get(parameter, parameter)) if is_ec else KeySpec("rsa", size=int(parameter))
     if uri is not None:
         return _token_key(element, key, uri)
     pin_env = element.find("pin_env")
@@ -301,7 +294,17 @@ def _key(element: etree._Element) -> KeySpec:
             help="write <pkcs11>pkcs11:token=…;object=…</pkcs11> if it lies in a token, else its type",
             code="key-incomplete",
         )
-    return _password(element, key)
+    encryption, password_env = element.find("encryption_algorithm"), text(element.find("password_env")) or ""
+    encrypted = text(encryption) == "BestAvailableEncryption"
+    if encrypted != bool(password_env):
+        message = "<password_env> is given, but the key is not encrypted"
+        help_ = "write <encryption_algorithm>BestAvailableEncryption</encryption_algorithm>, or empty <password_env>"
+        if encrypted:
+            message = "an encrypted key needs a <password_env>"
+            help_ = "name the environment variable that will contain the password, e.g. CA_PASSWORD"
+        where = place(element if encryption is None else encryption)
+        raise KeymintError(message, where=where, help=help_, code="key-password")
+    return replace(key, password_env=password_env)
 
 
 def _token_key(element: etree._Element, key: KeySpec, uri: etree._Element) -> KeySpec:
@@ -320,25 +323,3 @@ def _token_key(element: etree._Element, key: KeySpec, uri: etree._Element) -> Ke
     given_uri = text(uri) or ""
     pkcs11_uri.parse(given_uri, place(uri))
     return replace(key, uri=given_uri, pin_env=text(element.find("pin_env")) or "")
-
-
-def _key_type(element: etree._Element) -> KeySpec:
-    (algorithm,) = element.iterfind("asymmetric_type/*")
-    parameter = text(algorithm[0]) or ""
-    if algorithm.tag == "ec":
-        return KeySpec("ec", curve=_CURVES.get(parameter, parameter))
-    return KeySpec("rsa", size=int(parameter))
-
-
-def _password(element: etree._Element, key: KeySpec) -> KeySpec:
-    encryption, password_env = element.find("encryption_algorithm"), text(element.find("password_env")) or ""
-    encrypted = text(encryption) == "BestAvailableEncryption"
-    if encrypted != bool(password_env):
-        message = "<password_env> is given, but the key is not encrypted"
-        help_ = "write <encryption_algorithm>BestAvailableEncryption</encryption_algorithm>, or empty <password_env>"
-        if encrypted:
-            message = "an encrypted key needs a <password_env>"
-            help_ = "name the environment variable that will contain the password, e.g. CA_PASSWORD"
-        where = place(element if encryption is None else encryption)
-        raise KeymintError(message, where=where, help=help_, code="key-password")
-    return replace(key, password_env=password_env)

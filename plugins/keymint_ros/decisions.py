@@ -74,10 +74,6 @@ def _public_key(pem: bytes, where: Origin | None = None) -> bytes:
     return keys.public_to_pem(keys.public_from_pem(pem, where))
 
 
-def _rollover(element: etree._Element) -> Rollover:
-    return Rollover(Phase(element.get("phase", "").strip()), certificate.pem(element))
-
-
 def _pem(content: bytes) -> str:
     return f"{content.decode('ascii').strip()}\n"
 
@@ -100,7 +96,7 @@ _OF_AUTHORITY = (
     _Field("adopted", certificate.pem, _pem),
     _Field(
         "rollover",
-        _rollover,
+        lambda element: Rollover(Phase(element.get("phase", "").strip()), certificate.pem(element)),
         lambda rollover: _pem(rollover.certificate),
         lambda rollover: f' phase="{rollover.phase}"',
     ),

@@ -109,13 +109,12 @@ def _parts(root: etree._Element) -> Mapping[str, PackagePart]:
         if (element := root.find(group)) is not None:
             for tag in ("issuer_name", item):
                 _check_single(element, tag)
-            path, defaults = element.find(f"{item}/{item}_path"), element.find(f"{item}/defaults_path")
-            parts[name] = _part(element, path, defaults, f"{name}.xml")
+            parts[name] = _part(element, f"{name}.xml", f"{item}/{item}_path", f"{item}/defaults_path")
     for element in root.iterfind("parts/part"):
         name = element.get("name", "")
         message = f"the part {name!r} is given twice"
         require_new(name, parts, element, message, "remove one of the elements", "part-doubled")
-        parts[name] = _part(element, element.find("path"), element.find("defaults_path"), f"{name}.xml")
+        parts[name] = _part(element, f"{name}.xml", "path", "defaults_path")
     return parts
 
 
@@ -133,14 +132,13 @@ def _check_single(element: etree._Element, tag: str) -> None:
         )
 
 
-def _part(
-    element: etree._Element, path: etree._Element | None, defaults: etree._Element | None, usual: str
-) -> PackagePart:
+def _part(element: etree._Element, usual: str, path_tag: str, defaults_tag: str) -> PackagePart:
+    path = element.find(path_tag)
     return PackagePart(
         line=line(element),
         path=text(path) or usual,
         named=path is not None,
-        defaults=text(defaults) or f"package.defaults/{usual}",
+        defaults=text(element.find(defaults_tag)) or f"package.defaults/{usual}",
         issuer=text(element.find("issuer_name")) or "",
     )
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 from typing import TYPE_CHECKING, TypeVar
 
 from comarmor.errors import Defects, Origin
@@ -24,27 +25,15 @@ from keymint.api import (
     SourcePart,
     WorkspaceProfile,
 )
-from keymint.api.source_documents import (
-    DEFAULT_DOMAINS,
-    Reader,
-    file_in,
-    normal_path,
-    signer,
-)
+from keymint.api.source_documents import DEFAULT_DOMAINS, Reader, file_in, normal_path, signer
 from keymint.errors import KeymintError, known_authority
 from keymint.ir import DeferredRules, Rule, SubjectRules
 from keymint.names import subject_of
-from keymint_ros import (
-    certificate,
-    decisions,
-    manifest,
-    permissions,
-    taken_over,
-    validity,
-)
+from keymint_ros import certificate, decisions, manifest, permissions, validity
 from keymint_ros.certificate import IssuedElement
 from keymint_ros.manifest import MARKER, SIGNER, PackageManifest, PackagePart
 from keymint_ros.profile_reader import base_of
+from keymint_ros.taken_over import PREFIX
 
 if TYPE_CHECKING:
     from lxml import etree
@@ -55,16 +44,13 @@ _Issued = TypeVar("_Issued", CertificateSpec, Grant)
 
 def _identity(root: etree._Element) -> tuple[str, IssuedElement]:
     (element,) = root.iterfind("identities/identity")
-    return element.get("name", "").strip(), certificate.read(element, certificate.SUBJECT_PLACEHOLDERS)
+    return element.get("name", "").strip(), _element_of_subject(element)
 
 
+_element_of_subject = partial(certificate.read, known=certificate.SUBJECT_PLACEHOLDERS)
 _read_identity = Reader("keymint_ros", "identities", _identity)
-_read_identity_defaults = Reader(
-    "keymint_ros", "defaults_identities", lambda root: certificate.read(root, certificate.SUBJECT_PLACEHOLDERS)
-)
-_read_grant_defaults = Reader(
-    "keymint_ros", "defaults_permissions", lambda root: certificate.read(root, certificate.SUBJECT_PLACEHOLDERS)
-)
+_read_identity_defaults = Reader("keymint_ros", "defaults_identities", _element_of_subject)
+_read_grant_defaults = Reader("keymint_ros", "defaults_permissions", _element_of_subject)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +60,6 @@ class _PackageLoader:
     Attributes:
         name: the package's name.
         folder: the package's folder as the user would type it.
-        base: path of the profile space as the user would type it, ending in a slash; or empty.
         files: the package's files.
         values: values of the placeholders.
         authorities: names of the profile's authorities.
@@ -84,7 +69,6 @@ class _PackageLoader:
     profile: WorkspaceProfile
     name: str
     folder: str
-    base: str
     files: Mapping[str, bytes]
     manifest: PackageManifest
     values: Mapping[str, str]
@@ -122,7 +106,7 @@ class _PackageLoader:
         path = normal_path(part.defaults, self.place(part))
         if path in self.files:
             return self.file(path), self.files[path]
-        return self.base + path, self.profile.files.get(path)
+        return base_of(self.profile) + path, self.profile.files.get(path)
 
     def file(self, path: str) -> str:
         """Return the path of a file of the package as the user would type it."""
@@ -149,8 +133,7 @@ class _PackageLoader:
                     help="give it the name of the package, or none",
                     code="name-mismatch",
                 )
-        spec = certificate.complete(own, defaults, self.values)
-        named_at = certificate.issuer(own, defaults)[1]
+        spec, named_at = certificate.complete(own, defaults, self.values)
         if part.issuer and own.issuer is None:
             spec, named_at = replace(spec, issuer=part.issuer), self.place(part)
         known_authority(spec.issuer, self.authorities, named_at, "issues the certificate")
@@ -166,17 +149,17 @@ class _PackageLoader:
         rules = (
             DeferredRules(subject, partial(self._rules, content, file))
             if self.built and permissions.has_rules_only(content, subject)
-            else permissions.rendered_rules(content, self.base)
+            else permissions.rendered_rules(content, base_of(self.profile))
         )
         if rules is not None:
             return self._grant_of(rules, IssuedElement(permissions.GRANT_LINE, file))
         grant = permissions.read(content, file, subject)
-        rules = permissions.to_ir(grant, subject, file, self.base)
+        rules = permissions.to_ir(grant, subject, file, base_of(self.profile))
         return replace(self._grant_of(rules, grant.own.in_file(file)), name=grant.name, edited=grant.edited)
 
     def _rules(self, content: bytes, file: str) -> tuple[Rule, ...]:
-        subject = subject_of(self.name)
-        return permissions.to_ir(permissions.read(content, file, subject), subject, file, self.base).rules
+        grant = permissions.read(content, file, subject_of(self.name))
+        return permissions.to_ir(grant, subject_of(self.name), file, base_of(self.profile)).rules
 
     def _grant_of(self, rules: SubjectRules, written: IssuedElement | None = None) -> Grant:
         """Return the grant that its document and the defaults give for some rules.
@@ -205,9 +188,7 @@ class _PackageLoader:
     def part(self, name: str) -> SourcePart:
         """Return a part that a build type reads."""
         part = self.manifest.part(name)
-        file, content = self.own(part)
-        defaults_file, defaults = self.optional_defaults(part)
-        return SourcePart(name, file, content, defaults_file, defaults, part.issuer, self.place(part))
+        return SourcePart(name, *self.own(part), *self.optional_defaults(part), part.issuer, self.place(part))
 
 
 def load(
@@ -238,12 +219,12 @@ def load(
     in_common_name = any(each.KNOWS_COMMON_NAMES_ONLY for each in plugins.values())
     values = certificate.placeholder_values(subject, issued.generation, in_common_name=in_common_name)
     authorities = tuple(authority.name for authority in profile.authorities)
-    loader = _PackageLoader(
-        profile, name, folder, base_of(profile), files, package_manifest, values, authorities, built
-    )
+    loader = _PackageLoader(profile, name, folder, files, package_manifest, values, authorities, built)
     identity = _renewed(defects.attempt(loader.identity), issued)
     grant = _renewed(defects.attempt(loader.grant), issued)
-    parts = _parts(loader, plugins.values(), defects)
+    of_types = dict.fromkeys(each for plugin in plugins.values() for each in plugin.PARTS)
+    attempted = {each: defects.attempt(partial(loader.part, each)) for each in of_types}
+    parts = {each: part for each, part in attempted.items() if part}
     sources = PackageSources(
         name=name,
         subject=subject,
@@ -273,7 +254,7 @@ def load(
         issuers=tuple(_issuers(profile, identity.issuer)),
         role=package_manifest.role,
         issuance=issued,
-        kept=taken_over.adopted_documents(files),
+        kept={path.removeprefix(PREFIX): each for path, each in files.items() if path.startswith(PREFIX)},
     )
 
 
@@ -284,21 +265,12 @@ def _renewed(issued: _Issued | None, issuance_: Issuance) -> _Issued | None:
     return replace(issued, validity=validity.renewed_period(issued.validity, issuance_.renewed))
 
 
-def _parts(loader: _PackageLoader, plugins: Iterable[BuildType], defects: Defects) -> Mapping[str, SourcePart]:
-    """Return the parts that build types read, without those that have defects, which are collected."""
-    names = dict.fromkeys(name for plugin in plugins for name in plugin.PARTS)
-    parts = {name: defects.attempt(partial(loader.part, name)) for name in names}
-    return {name: part for name, part in parts.items() if part}
-
-
 def _with_extensions(identity: CertificateSpec, settings: Iterable[PackageSettings]) -> CertificateSpec:
     """Return the identity with the extensions that build types add; an extension of the sources goes first."""
     extensions = {each.name: each for each in identity.extensions}
-    for of_build_type in settings:
-        for each in of_build_type.extensions:
-            extensions.setdefault(each.name, each)
-    added = len(extensions) > len(identity.extensions)
-    return replace(identity, extensions=tuple(extensions.values())) if added else identity
+    for each in chain.from_iterable(of_build_type.extensions for of_build_type in settings):
+        extensions.setdefault(each.name, each)
+    return replace(identity, extensions=tuple(extensions.values()))
 
 
 def _issuers(profile: WorkspaceProfile, name: str) -> Iterator[Authority]:

@@ -23,7 +23,7 @@ from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.names import name_of
 from keymint_ros import bootstrap, manifest, permissions, validity
-from keymint_ros.manifest import MARKER
+from keymint_ros.manifest import BUILD_TYPE, MARKER
 from keymint_ros.permissions import WrittenGrant
 from keymint_ros.profile_reader import base_of
 
@@ -39,9 +39,7 @@ def create(
     profile: WorkspaceProfile, rules: SubjectRules, existing: Mapping[str, bytes], *, force: bool
 ) -> Mapping[str, bytes]:
     """Return the files to write for a package: see :meth:`keymint.api.PackageType.create`."""
-    name = name_of(rules.subject)
-    path = _permissions_path(existing, name)
-    return {**_new(profile.build_types, existing), **_permissions(profile, rules, path, existing, force=force)}
+    return {**_new(profile.build_types, existing), **_permissions(profile, rules, existing, force=force)}
 
 
 def former_rules(rules: SubjectRules, files: Mapping[str, bytes]) -> Sequence[Diagnostic]:
@@ -79,21 +77,21 @@ def _new(build_types: tuple[str, ...], existing: Mapping[str, bytes], role: Role
 
 
 def _permissions(
-    profile: WorkspaceProfile, rules: SubjectRules, path: str, existing: Mapping[str, bytes], *, force: bool
+    profile: WorkspaceProfile, rules: SubjectRules, existing: Mapping[str, bytes], *, force: bool
 ) -> Mapping[str, bytes]:
     """Return the permissions document if it must be written.
 
     Like dpkg for configuration files, this compares three states of the rules: those of the policy when the document
     was written, those in the document, and those of the policy now.
     """
-    base = base_of(profile)
-    new = permissions.render(rules, base)
+    name, base = name_of(rules.subject), base_of(profile)
+    path, new = _permissions_path(existing, name), permissions.render(rules, base)
     current = existing.get(path)
     if current is None:
         return {path: new}
     if current == new:
         return {}
-    file = f"{name_of(rules.subject)}/{path}"
+    file = f"{name}/{path}"
     try:
         grant = permissions.read(current, file, rules.subject)
     except KeymintError as error:
@@ -147,7 +145,8 @@ def with_validity(
             raise _has_own(name, path, valid_for)
         identity = f"    <identity>\n      <cert>{element}</cert>\n    </identity>\n".encode()
         changed[path] = new.replace(_EMPTY, identity)
-    if bootstrap.has_grant_validity(manifest.read(files[MARKER], f"{name}/{MARKER}").build_types):
+    # No other transport than DDS reads the validity of a grant.
+    if BUILD_TYPE in manifest.read(files[MARKER], f"{name}/{MARKER}").build_types:
         path = manifest.path_of("permissions", name, files)
         if _read_grant_length(files[path], f"{name}/{path}") != valid_for:
             base = base_of(profile)

@@ -85,19 +85,6 @@ def _joined(texts: tuple[str, ...]) -> str:
     return "\x1e".join(sorted(texts)) if len(texts) > 1 else texts[0] if texts else ""
 
 
-def _old(content: bytes, name: str) -> Origin | None:
-    """Return the place of a rule in a document of 2018, which has ``allow_rule`` and ``deny_rule``; else None.
-
-    Raises:
-        KeymintError: the document is not well-formed.
-    """
-    root = reader.parse(content, name)
-    for tag in ("allow_rule", "deny_rule", "default"):
-        if (element := root.find(f"permissions/grant/{tag}")) is not None and "format" not in root.attrib:
-            return Origin(name, line(element))
-    return None
-
-
 def read(content: bytes, name: str, subject: str) -> WrittenGrant:
     """Return the grant of a ``permissions.xml``.
 
@@ -112,12 +99,14 @@ def read(content: bytes, name: str, subject: str) -> WrittenGrant:
     try:
         return _read(content, name)
     except KeymintError:
-        old = _old(content, name)
-        if old is None:
+        root = reader.parse(content, name)
+        found = (root.find(f"permissions/grant/{tag}") for tag in ("allow_rule", "deny_rule", "default"))
+        old = next((each for each in found if each is not None), None)
+        if old is None or "format" in root.attrib:
             raise
     raise KeymintError(
         "these permissions are in the format of 2018",
-        where=old,
+        where=Origin(name, line(old)),
         help=f"'keymint create {name_of(subject)}' recreates them from the policy",
         code=OLD_FORMAT,
     )
@@ -283,7 +272,9 @@ def render(rules: SubjectRules, base: str, *, name: str = "", overrides: Iterabl
     start, end = _head(rules.subject, name or rules.subject)
     document = f"{start}{digest(rules.rules)}{end}{head}{body}    </grant>\n  </permissions>\n</package>\n"
     content = document.encode()
-    if not head and not name and _is_plain(body, rules):
+    plain = body.isascii() and body.replace("\n", "").isprintable() and not any(text in body for text in _CHANGED)
+    if plain and not head and not name and all(rule.expressions and rule.permissions for rule in rules.rules):
+        # Reading the document gives its rules without a change of their texts.
         if len(_rendered) >= _MOST_RENDERED:
             _rendered.clear()
         _rendered[content] = rules, base
@@ -307,12 +298,6 @@ def has_rules_only(content: bytes, subject: str) -> bool:
     return (
         content.startswith(start) and rest.startswith(end) and not any(f"<{tag}".encode() in rest for tag in _OVERRIDES)
     )
-
-
-def _is_plain(body: str, rules: SubjectRules) -> bool:
-    """Tell whether reading a document gives its rules without a change of their texts."""
-    plain = body.isascii() and body.replace("\n", "").isprintable() and not any(text in body for text in _CHANGED)
-    return plain and all(rule.expressions and rule.permissions for rule in rules.rules)
 
 
 def rendered_rules(content: bytes, base: str) -> SubjectRules | None:

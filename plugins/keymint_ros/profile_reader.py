@@ -94,17 +94,6 @@ def _authorities(root: etree._Element) -> tuple[tuple[str, IssuedElement], ...]:
     )
 
 
-def _check_unique(name: str, known: Mapping[str, object], where: Origin) -> None:
-    """Check that an authority's name is new, even on a file system that ignores case."""
-    if name.lower() in {other.lower() for other in known}:
-        raise KeymintError(
-            f"there are two authorities named {name!r}",
-            where=where,
-            help="give each its own name, different in more than case: it becomes the name of a file",
-            code="authority-doubled",
-        )
-
-
 def _policies(root: etree._Element) -> tuple[tuple[str, _PathElement], ...]:
     """Return name and path of each policy."""
     return tuple((item.get("name", "").strip(), _policy_path(item)) for item in root.iterfind("policies/policy"))
@@ -157,7 +146,14 @@ def load(root: Path, files: Mapping[str, bytes]) -> WorkspaceProfile:
     issuers: dict[str, Origin] = {}
     for path, defaults_path in listed:
         for authority, where, issuer_named_at in _load_authorities(root, files, path, defaults_path):
-            _check_unique(authority.name, authorities, where)
+            # Names must differ even on a file system that ignores case.
+            if authority.name.lower() in {other.lower() for other in authorities}:
+                raise KeymintError(
+                    f"there are two authorities named {authority.name!r}",
+                    where=where,
+                    help="give each its own name, different in more than case: it becomes the name of a file",
+                    code="authority-doubled",
+                )
             authorities[authority.name], issuers[authority.name] = authority, issuer_named_at
     for each, issuance in decisions.authority_issuance(files, str(root), authorities).items():
         spec = decisions.spec_after_decision(authorities[each].certificate, issuance)
@@ -198,9 +194,9 @@ def _load_authorities(
     defaults = _read_authority_defaults(defaults_content, defaults_file).in_file(defaults_file)
     for name, element in _read_authorities(content, file):
         own = element.in_file(file)
-        spec = certificate.complete(own, defaults, {"name": name})
+        spec, issuer_named_at = certificate.complete(own, defaults, {"name": name})
         issuer = "" if spec.issuer == name else spec.issuer
-        yield Authority(name, replace(spec, issuer=issuer)), own.origin, certificate.issuer(own, defaults)[1]
+        yield Authority(name, replace(spec, issuer=issuer)), own.origin, issuer_named_at
 
 
 def _check_hierarchy(authorities: Mapping[str, Authority], issuers: Mapping[str, Origin]) -> None:

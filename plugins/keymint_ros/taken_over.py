@@ -25,11 +25,6 @@ PREFIX = "adopted."
 _SPECIAL = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;"})
 
 
-def adopted_documents(files: Mapping[str, bytes]) -> Mapping[str, bytes]:
-    """Return the documents of a package that another tool signed, by the names of the unsigned documents."""
-    return {name.removeprefix(PREFIX): content for name, content in files.items() if name.startswith(PREFIX)}
-
-
 def adopted_sources(profile: WorkspaceProfile, sources: AdoptedSources) -> Mapping[str, bytes]:
     """Return the files of a package: see :meth:`keymint.api.PackageType.adopted_sources`."""
     domains = [_domains(sources.domains)] if sources.domains else []
@@ -108,7 +103,10 @@ def _edited(
     Raises:
         KeymintError: there is no such file, or it is written in another way than Keymint writes it.
     """
-    text = _text(files.get(path, b""))
+    try:
+        text = files.get(path, b"").decode()
+    except UnicodeDecodeError:
+        text = ""  # nothing that Keymint writes is like this
     # Nothing is found in a comment, and all other places stay.
     plain = _COMMENT.sub(lambda comment: re.sub(r"[^\n]", " ", comment[0]), text)
     for pattern, new in edits.items():
@@ -117,11 +115,3 @@ def _edited(
     raise KeymintError(
         "is written in a way that Keymint does not edit", where=Origin(shown), help=help_, code="harden-by-hand"
     )
-
-
-def _text(content: bytes) -> str:
-    """Return the text of a file; empty if it is not UTF-8, as nothing that Keymint writes."""
-    try:
-        return content.decode()
-    except UnicodeDecodeError:
-        return ""

@@ -93,8 +93,7 @@ def length(root: etree._Element) -> str:
     period = read(element)
     if element is None or period is None:
         return ""
-    given = element.find("duration")
-    return text(given) or f"P{(period.not_after - period.not_before).days}D"
+    return text(element.find("duration")) or f"P{(period.not_after - period.not_before).days}D"
 
 
 def date(element: etree._Element) -> datetime:
