@@ -37,8 +37,7 @@ def deviations(policy: syntax.SourcePolicy) -> tuple[Diagnostic, ...]:
     """
     found = [*_doubled(policy)]
     for enclave in policy.enclaves:
-        found += _of_path(enclave)
-        found += _of_groups(enclave)
+        found += _of_enclave(enclave)
         for node in enclave.nodes():
             found += _of_node(enclave, node)
             found += (
@@ -60,26 +59,21 @@ def _doubled(policy: syntax.SourcePolicy) -> Iterator[Diagnostic]:
             yield Diagnostic.error("sros2-path-twice", message, enclave.where, help_, enclave.path)
 
 
-def _of_path(enclave: syntax.Sros2Enclave) -> Iterator[Diagnostic]:
+def _of_enclave(enclave: syntax.Sros2Enclave) -> Iterator[Diagnostic]:
     path = enclave.path
-    if is_subject(path) and len(path) <= _LONGEST_PATH and max(map(len, path.split("/"))) <= _LONGEST_SEGMENT:
-        return
-    message = f"{quote(path)}: not a path of an enclave"
-    help_ = (
-        "expected '/' and segments of letters, digits and '_' that do not begin with a digit, without wildcards;"
-        f" at most {_LONGEST_PATH:,} characters, and {_LONGEST_SEGMENT} between two '/'"
-    )
-    yield Diagnostic.error("sros2-path", message, enclave.where, help_, enclave.path)
-
-
-def _of_groups(enclave: syntax.Sros2Enclave) -> Iterator[Diagnostic]:
+    if not is_subject(path) or len(path) > _LONGEST_PATH or max(map(len, path.split("/"))) > _LONGEST_SEGMENT:
+        help_ = (
+            "expected '/' and segments of letters, digits and '_' that do not begin with a digit, without wildcards;"
+            f" at most {_LONGEST_PATH:,} characters, and {_LONGEST_SEGMENT} between two '/'"
+        )
+        yield Diagnostic.error("sros2-path", f"{quote(path)}: not a path of an enclave", enclave.where, help_, path)
     if len(enclave.groups) > 1:
         message = (
-            f"the enclave {quote(enclave.path)} has {len(enclave.groups)} <profiles>: SROS2 writes a grant for each,"
+            f"the enclave {quote(path)} has {len(enclave.groups)} <profiles>: SROS2 writes a grant for each,"
             " and participants use the first only"
         )
         help_ = "put all <profile> into one <profiles>; --accept takes all of them together"
-        yield Diagnostic.error("sros2-two-profiles", message, enclave.groups[1].where, help_, enclave.path)
+        yield Diagnostic.error("sros2-two-profiles", message, enclave.groups[1].where, help_, path)
 
 
 def _of_node(enclave: syntax.Sros2Enclave, node: syntax.RosNode) -> Iterator[Diagnostic]:
@@ -128,6 +122,15 @@ _BEGIN, _END = "2000-01-01T00:00:00", "2001-01-01T00:00:00"
 _REQUESTS = tuple(f"/_action/{name}Request" for name in ("cancel_goal", "get_result", "send_goal"))
 _REPLIES = tuple(f"/_action/{name}Reply" for name in ("cancel_goal", "get_result", "send_goal"))
 _TOPICS = tuple(f"/_action/{name}" for name in ("feedback", "status"))
+_PARTS = {
+    "ros_publish": (("publish", "rt", ("",)),),
+    "ros_subscribe": (("subscribe", "rt", ("",)),),
+    "ros_call": (("publish", "rq", ("Request",)), ("subscribe", "rr", ("Reply",))),
+    "ros_execute": (("subscribe", "rq", ("Request",)), ("publish", "rr", ("Reply",))),
+    "ros_request": (("publish", "rq", _REQUESTS), ("subscribe", "rr", _REPLIES), ("subscribe", "rt", _TOPICS)),
+    "ros_operate": (("subscribe", "rq", _REQUESTS), ("publish", "rr", _REPLIES), ("publish", "rt", _TOPICS)),
+}
+"""What a permission on a name lets do, and the DDS topics: what stands before the name, and what may stand after it."""
 
 _Topic = tuple[str, str]
 """What may be done, and the DDS topic."""
@@ -160,11 +163,9 @@ def _grant(enclave: syntax.Sros2Enclave, group: syntax.NodeGroup, *, graph: bool
     validity = etree.SubElement(grant, "validity")
     etree.SubElement(validity, "not_before").text = _BEGIN
     etree.SubElement(validity, "not_after").text = _END
-    topics = {effect: set(_topics(group, effect)) for effect in Effect}
-    if topics[Effect.DENY]:
-        grant.append(_rule("deny_rule", topics[Effect.DENY]))
-    if topics[Effect.ALLOW]:
-        grant.append(_rule("allow_rule", topics[Effect.ALLOW]))
+    for tag, effect in (("deny_rule", Effect.DENY), ("allow_rule", Effect.ALLOW)):
+        if topics := set(_topics(group, effect)):
+            grant.append(_rule(tag, topics))
     if graph:
         grant.append(_rule("allow_rule", {("publish", syntax.GRAPH_TOPIC), ("subscribe", syntax.GRAPH_TOPIC)}))
     etree.SubElement(grant, "default").text = "DENY"
@@ -186,21 +187,7 @@ def _rule(tag: str, topics: Iterable[_Topic]) -> etree._Element:
 def _topics(group: syntax.NodeGroup, effect: Effect) -> Iterator[_Topic]:
     for node in group.nodes:
         for rules in node.lists:
+            names = [syntax.enforced_name(node, entry.text) for entry in rules.entries]
             for permission, given in rules.effects.items():
-                if given is effect:
-                    yield from _of_list(node, rules, permission)
-
-
-def _of_list(node: syntax.RosNode, rules: syntax.RuleList, permission: str) -> Iterator[_Topic]:
-    for entry in rules.entries:
-        name = syntax.enforced_name(node, entry.text)
-        if permission in {"ros_publish", "ros_subscribe"}:
-            yield permission.removeprefix("ros_"), f"rt{name}"
-            continue
-        caller = permission in {"ros_call", "ros_request"}
-        out, back = ("publish", "subscribe") if caller else ("subscribe", "publish")
-        composite = permission in {"ros_request", "ros_operate"}
-        yield from ((out, f"rq{name}{suffix}") for suffix in (_REQUESTS if composite else ("Request",)))
-        yield from ((back, f"rr{name}{suffix}") for suffix in (_REPLIES if composite else ("Reply",)))
-        if composite:
-            yield from ((back, f"rt{name}{suffix}") for suffix in _TOPICS)
+                for action, prefix, suffixes in _PARTS[permission] if given is effect else ():
+                    yield from ((action, f"{prefix}{name}{suffix}") for name in names for suffix in suffixes)

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import replace
 from types import MappingProxyType
 
 from lxml import etree
 
-from comarmor.errors import Diagnostic, Origin
+from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.language import formatting
 from comarmor.patterns import glob
 from comarmor.patterns.expression import exact, matches
@@ -22,7 +22,6 @@ from comarmor.patterns.glob import matches as matching
 from comarmor.regex import lazy_regex
 from comarmor.rules import PARTS, Effect, Rule, is_subject
 from comarmor.text import quote
-from comarmor.values import dataclass
 from keymint.api import ExportedPolicy, ImportedSubject
 from keymint.errors import KeymintError, UnsayableError
 from keymint.ir import SubjectRules
@@ -38,7 +37,7 @@ _SERVICES = ("rq/", "rr/")
 _REQUEST = lazy_regex(r"rq(/.*)Request", re.DOTALL)
 _MEMBERS = " \"#$%&'()*+,-./:;<=>?@_`{|}~"
 """Members of a set that need no escape."""
-_SPECIAL = "*?["
+_LITERAL = str.maketrans({char: f"[{char}]" for char in "*?["})
 
 
 _Name = tuple[str, str, str]
@@ -51,11 +50,14 @@ def expressed_names(rule: Rule, permission: str, expression: str) -> Iterator[_N
     Raises:
         UnsayableError: there are none.
     """
-    if _denies_nothing(rule, permission):
-        return
-    if rule.effect is Effect.ALLOW and rule.partitions not in {(), ("",)}:
+    relays = permission.endswith("relay")
+    if rule.effect is Effect.DENY:
+        # What no policy of SROS2 allows needs no denial: to relay, and other than default partitions.
+        if relays or (rule.partitions and not any(matches(each, "") for each in rule.partitions)):
+            return
+    elif rule.partitions not in {(), ("",)}:
         raise UnsayableError("SROS2 has no partitions")
-    if permission.endswith("relay"):
+    elif relays:
         raise UnsayableError("SROS2 cannot allow to relay")
     pattern = glob.parse(expression)
     if rule.kind == "topic":
@@ -112,13 +114,6 @@ def is_graph(rule: Rule, permission: str, expression: str) -> bool:
     return rule.effect is Effect.ALLOW and is_raw(rule) and permission in _RAW and expression == syntax.GRAPH_TOPIC
 
 
-def _denies_nothing(rule: Rule, permission: str) -> bool:
-    """Tell whether a DENY concerns only what no policy of SROS2 allows: to relay, and other than default partitions."""
-    if rule.effect is Effect.ALLOW:
-        return False
-    return permission.endswith("relay") or bool(rule.partitions and not any(matches(p, "") for p in rule.partitions))
-
-
 def _raw(effect: Effect, permission: str, pattern: Glob) -> Iterator[_Name]:
     """Yield the ROS topics whose DDS topics a raw rule names, if it names no others that a policy of SROS2 allows."""
     if effect is Effect.ALLOW and not glob.prefix(pattern).startswith(f"{_PREFIX}/"):
@@ -140,17 +135,15 @@ def _names(pattern: Glob, suffix: str) -> Iterator[str]:
 
 def _text(pattern: Glob) -> str:
     """Return the expression of a pattern without escapes, which vendors read differently."""
-    parts = (_literal(token) if isinstance(token, str) else exact((token,), unescaped=_MEMBERS) for token in pattern)
-    text = "".join(parts)
+    text = "".join(
+        token.translate(_LITERAL) if isinstance(token, str) else exact((token,), unescaped=_MEMBERS)
+        for token in pattern
+    )
     if "\\" in text:
         raise UnsayableError("its expression needs a '\\', which vendors read differently")
     if text != text.strip():
         raise UnsayableError("the name ends with white space")
     return text
-
-
-def _literal(text: str) -> str:
-    return "".join(f"[{char}]" if char in _SPECIAL else char for char in text)
 
 
 _LONGEST = 64
@@ -165,96 +158,80 @@ def export_policy(subjects: Sequence[SubjectRules], *, lossy: bool = False) -> E
     Raises:
         KeymintError: something cannot be said; every such rule with its ``file:line``.
     """
-    exporter = _Exporter(lossy)
-    enclaves = [exporter.enclave(each) for each in subjects]
-    if exporter.errors:
-        raise KeymintError.of(dict.fromkeys(exporter.errors))
+    found: list[Diagnostic] = []
+    enclaves = [_enclave(each, found, lossy=lossy) for each in subjects]
+    if errors := [each for each in found if each.severity is Severity.ERROR]:
+        raise KeymintError.of(dict.fromkeys(errors))
     made = tuple(
-        ImportedSubject(
-            exporter.kept[enclave.path],
-            permissions_document(enclave, graph=enclave.path in exporter.graph),
-            subject_name(enclave),
-        )
-        for enclave in enclaves
+        ImportedSubject(kept, permissions_document(enclave, graph=graph), subject_name(enclave))
+        for enclave, kept, graph in enclaves
     )
-    return ExportedPolicy(_document(enclaves), tuple(dict.fromkeys(exporter.warnings)), made)
+    return ExportedPolicy(_document(each for each, *_ in enclaves), tuple(dict.fromkeys(found)), made)
 
 
-@dataclass(slots=True)
-class _Exporter:
-    """Collects what cannot be said.
+def _enclave(
+    subject: SubjectRules, found: list[Diagnostic], *, lossy: bool
+) -> tuple[syntax.Sros2Enclave, SubjectRules, bool]:
+    """Return the enclave of a subject, with one node of the same name, and with full names.
 
-    Attributes:
+    And the rules that are said, and whether they allow the topic of the graph, which SROS2 allows by itself.
+
+    Args:
+        subject: the rules of the subject.
+        found: gets what cannot be said, what is left out, and what SROS2 adds.
         lossy: leave out what only allows something.
-        errors: what cannot be said.
-        warnings: what is left out, and what SROS2 adds.
-        kept: the rules that are said, by subject.
-        graph: the subjects that are allowed the topic of the graph, which SROS2 allows by itself.
     """
-
-    lossy: bool
-    errors: list[Diagnostic] = field(default_factory=list)
-    warnings: list[Diagnostic] = field(default_factory=list)
-    kept: dict[str, SubjectRules] = field(default_factory=dict)
-    graph: set[str] = field(default_factory=set)
-
-    def enclave(self, subject: SubjectRules) -> syntax.Sros2Enclave:
-        """Return the enclave of a subject, with one node of the same name, and with full names."""
-        path = subject.subject
-        where = subject.rules[0].origin if subject.rules else Origin("policy.xml")
-        if not is_subject(path) or len(path) > _LONGEST:
-            message = f"the subject {quote(path)} is no path of an enclave of at most {_LONGEST} characters"
-            self.errors.append(Diagnostic.error("sros2-path", message, where, "rename it", path))
-        lists: list[syntax.RuleList] = []
-        kept: list[Rule] = []
-        graph: set[str] = set()
-        pairs = services(subject.rules)
-        for rule in subject.rules:
-            self._audit(rule, path)
-            names: dict[_Name, None] = {}
-            for permission in rule.permissions:
-                for expression in rule.expressions:
-                    try:
-                        if is_graph(rule, permission, expression):
-                            graph.add(permission)
-                        elif is_raw(rule) and (rule.effect, permission, expression) in pairs:
-                            names |= dict.fromkeys(pairs[rule.effect, permission, expression])
-                        else:
-                            names |= dict.fromkeys(expressed_names(rule, permission, expression))
-                    except UnsayableError as error:
-                        self._unsayable(rule, permission, expression, str(error), path)
-                        continue
-                    kept.append(replace(rule, permissions=(permission,), expressions=(expression,)))
-            lists += _lists(rule, names)
-        if graph == {"publish", "subscribe"}:
-            self.graph.add(path)
-        else:
-            message = f"SROS2 allows {path} to publish and subscribe to ros_discovery_info by itself"
-            help_ = "participants need it: include common/node/graph.xml"
-            self.warnings.append(Diagnostic.warning("sros2-graph", message, where, help_, path))
-        self.kept[path] = SubjectRules(path, tuple(kept))
-        parent, _, name = path.rpartition("/")
-        node = syntax.RosNode(parent or "/", name or _ROOT_NODE, tuple(lists), where)
-        return syntax.Sros2Enclave(path, (syntax.NodeGroup((node,), where),), where)
-
-    def _audit(self, rule: Rule, path: str) -> None:
+    path = subject.subject
+    where = subject.rules[0].origin if subject.rules else Origin("policy.xml")
+    if not is_subject(path) or len(path) > _LONGEST:
+        message = f"the subject {quote(path)} is no path of an enclave of at most {_LONGEST} characters"
+        found.append(Diagnostic.error("sros2-path", message, where, "rename it", path))
+    lists: list[syntax.RuleList] = []
+    kept: list[Rule] = []
+    graph: set[str] = set()
+    pairs = services(subject.rules)
+    for rule in subject.rules:
         if rule.audit:
             message = f"SROS2 cannot require that a request is logged, as this {rule.effect} {rule.kind} rule does"
-            self._lost("sros2-audit", message, rule, path, "with --lossy the rule stays, without AUDIT")
+            help_ = "with --lossy the rule stays, without AUDIT"
+            found.append(_lost("sros2-audit", message, rule, path, help_, lossy=lossy))
+        names: dict[_Name, None] = {}
+        for permission in rule.permissions:
+            for expression in rule.expressions:
+                try:
+                    if is_graph(rule, permission, expression):
+                        graph.add(permission)
+                    elif is_raw(rule) and (rule.effect, permission, expression) in pairs:
+                        names |= dict.fromkeys(pairs[rule.effect, permission, expression])
+                    else:
+                        names |= dict.fromkeys(expressed_names(rule, permission, expression))
+                except UnsayableError as error:
+                    message = f"SROS2 cannot say {rule.effect} {permission} {quote(expression)}: {error}"
+                    found.append(_unsayable(message, rule, path, lossy=lossy))
+                    continue
+                kept.append(replace(rule, permissions=(permission,), expressions=(expression,)))
+        lists += _lists(rule, names)
+    allows_graph = graph == {"publish", "subscribe"}
+    if not allows_graph:
+        message = f"SROS2 allows {path} to publish and subscribe to ros_discovery_info by itself"
+        help_ = "participants need it: include common/node/graph.xml"
+        found.append(Diagnostic.warning("sros2-graph", message, where, help_, path))
+    parent, _, name = path.rpartition("/")
+    node = syntax.RosNode(parent or "/", name or _ROOT_NODE, tuple(lists), where)
+    enclave = syntax.Sros2Enclave(path, (syntax.NodeGroup((node,), where),), where)
+    return enclave, SubjectRules(path, tuple(kept)), allows_graph
 
-    def _unsayable(self, rule: Rule, permission: str, expression: str, reason: str, path: str) -> None:
-        message = f"SROS2 cannot say {rule.effect} {permission} {quote(expression)}: {reason}"
-        if rule.effect is Effect.DENY:
-            help_ = "without it more would be allowed, so --lossy does not drop it either: write the policy without it"
-            self.errors.append(Diagnostic.error("sros2-unsayable", message, rule.origin, help_, path))
-        else:
-            self._lost("sros2-unsayable", message, rule, path, "--lossy leaves it out: then less is allowed")
 
-    def _lost(self, code: str, message: str, rule: Rule, path: str, help_: str) -> None:
-        if self.lossy:
-            self.warnings.append(Diagnostic.warning(code, message, rule.origin, "left out (--lossy)", path))
-        else:
-            self.errors.append(Diagnostic.error(code, message, rule.origin, help_, path))
+def _unsayable(message: str, rule: Rule, path: str, *, lossy: bool) -> Diagnostic:
+    help_ = "--lossy leaves it out: then less is allowed"
+    if rule.effect is Effect.DENY:
+        help_ = "without it more would be allowed, so --lossy does not drop it either: write the policy without it"
+    return _lost("sros2-unsayable", message, rule, path, help_, lossy=lossy and rule.effect is Effect.ALLOW)
+
+
+def _lost(code: str, message: str, rule: Rule, path: str, help_: str, *, lossy: bool) -> Diagnostic:
+    severity, help_ = (Severity.WARNING, "left out (--lossy)") if lossy else (Severity.ERROR, help_)
+    return Diagnostic(code, severity, message, rule.origin, help_, path)
 
 
 def _lists(rule: Rule, names: dict[_Name, None]) -> list[syntax.RuleList]:

@@ -84,8 +84,7 @@ class _Parser:
         """Return the nodes of a ``<profiles>`` element."""
         if (kind := item.element.get("type")) is not None:
             self.lose(f"the type {quote(kind)} of <profiles>", item)
-        children = self.children(item, ("profile",), "in <profiles>")
-        nodes = tuple(self.node(child) for child in children)
+        nodes = tuple(map(self.node, self.children(item, ("profile",), "in <profiles>")))
         return NodeGroup(nodes, item.where, item.comments, item.closing)
 
     def node(self, item: Placed) -> RosNode:

@@ -209,17 +209,14 @@ def rules_of(enclaves: Iterable[Sros2Enclave], *, graph: bool) -> tuple[Rule, ..
     """
     found: list[Rule] = []
     for enclave in enclaves:
-        for node in enclave.nodes():
-            found += (rule for rules in node.lists for rule in _of_list(node, rules))
+        lists = ((node, rules) for node in enclave.nodes() for rules in node.lists)
+        for node, rules in lists:
+            names = tuple(dict.fromkeys(expression(as_read(node, entry.text), entry) for entry in rules.entries))
+            for effect in Effect:
+                permissions = tuple(each for each in rules.effects if rules.effects[each] is effect)
+                if permissions and names:
+                    found.append(Rule(effect, KINDS[rules.tag], permissions, names, (), False, rules.where))
         if graph:
             permissions = ("publish", "subscribe")
             found.append(Rule(Effect.ALLOW, "topic", permissions, (GRAPH_TOPIC,), (), False, enclave.where))
     return tuple(found)
-
-
-def _of_list(node: RosNode, rules: RuleList) -> Iterator[Rule]:
-    names = tuple(dict.fromkeys(expression(as_read(node, entry.text), entry) for entry in rules.entries))
-    for effect in Effect:
-        permissions = tuple(permission for permission, given in rules.effects.items() if given is effect)
-        if permissions and names:
-            yield Rule(effect, KINDS[rules.tag], permissions, names, (), False, rules.where)

@@ -8,7 +8,7 @@ compare both, what SROS2 writes from the policy is given too.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -235,7 +235,10 @@ def translate_policy(request: ImportRequest) -> ImportedPolicy:
     found = deviations(policy)
     if refused := [each for each in found if not (request.accept and each.code in ACCEPTABLE)]:
         raise KeymintError.of(refused)
-    enclaves, graph = _by_path(policy), request.implicit and policy.has_graph
+    graph = request.implicit and policy.has_graph
+    enclaves: dict[str, list[syntax.Sros2Enclave]] = {}
+    for enclave in policy.enclaves:
+        enclaves.setdefault(enclave.path, []).append(enclave)
     document = comarmor_document(enclaves.values(), policy.closing, request.library, graph=graph)
     loaded = parse_comarmor(read_document(document, request.name, request.library, request.library_shown))
     deviating = {each.subject for each in found}
@@ -252,13 +255,6 @@ def translate_policy(request: ImportRequest) -> ImportedPolicy:
     help_ = "the new policy has it as it reads (--accept)"
     accepted = (replace(each, severity=Severity.WARNING, help=help_) for each in found)
     return ImportedPolicy(document, subjects, (*accepted, *_notes(policy)))
-
-
-def _by_path(policy: syntax.SourcePolicy) -> Mapping[str, list[syntax.Sros2Enclave]]:
-    found: dict[str, list[syntax.Sros2Enclave]] = {}
-    for enclave in policy.enclaves:
-        found.setdefault(enclave.path, []).append(enclave)
-    return found
 
 
 def _notes(policy: syntax.SourcePolicy) -> Iterator[Diagnostic]:

@@ -44,6 +44,8 @@ _CHANGING = frozenset((
 ))  # fmt: skip
 """Functions whose results depend on more than the database, or that load code."""
 _TYPES = {type(None): "NULL", int: "INTEGER", float: "REAL", bytes: "BLOB", str: "TEXT"}
+_ACCEPTED = {"source": str | None, "audit": str | int | None, **dict.fromkeys(rows.REQUIRED, str)}
+"""The types of the values of each column, as they are checked."""
 _READING = frozenset((sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION, sqlite3.SQLITE_RECURSIVE))
 
 
@@ -74,7 +76,12 @@ def rows_of_database(content: bytes, file: str) -> Iterator[rows.TableRow | ComA
                 name for _, name, *_, hidden in database.execute(f"PRAGMA table_xinfo({NAME})") if hidden != _HIDDEN
             ]
             if not header:
-                raise _missing(database, where)
+                found = database.execute("SELECT name FROM sqlite_master WHERE type IN ('table', 'view')")
+                usual = f"create a view {NAME}({', '.join(rows.COLUMNS)})"
+                raise ComArmorError(
+                    f"the database has no table or view {NAME}", where=where, code="table-header",
+                    help=did_you_mean(NAME, [str(name) for (name,) in found], usual),
+                )  # fmt: skip
             order = rows.column_order(header, where)
             database.set_authorizer(guard.authorize)
             database.set_progress_handler(guard.progress, _STEPS_BETWEEN)
@@ -144,40 +151,21 @@ def _too_much(what: str, where: Origin) -> ComArmorError:
     return ComArmorError(f"{NAME} {what}", where=where, help=help_, code="table-limit")
 
 
-def _missing(database: sqlite3.Connection, where: Origin) -> ComArmorError:
-    names = [
-        str(name) for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type IN ('table', 'view')")
-    ]
-    return ComArmorError(
-        f"the database has no table or view {NAME}", where=where, code="table-header",
-        help=did_you_mean(NAME, names, f"create a view {NAME}({', '.join(rows.COLUMNS)})"),
-    )  # fmt: skip
-
-
 def _row(values: Sequence[object], file: str, number: int) -> rows.TableRow | ComArmorError:
-    *required, audit, source = values
+    given = dict(zip(rows.COLUMNS, values, strict=True))
+    source = given["source"]
     try:
         where = rows.row_origin(file, number, strip(source) if isinstance(source, str) else "")
-        if not isinstance(source, str | None):
-            raise _type_error("source", source, where)
-        if not isinstance(audit, str | int | None):
-            raise _type_error("audit", audit, where)
-        texts = []
-        for name, value in zip(rows.REQUIRED, required, strict=True):
-            if not isinstance(value, str):
-                raise _type_error(name, value, where)
-            texts.append(strip(value))
-        texts.append("" if audit is None else strip(str(audit)))
     except ComArmorError as error:
         return error
+    for name, accepted in _ACCEPTED.items():
+        if not isinstance(given[name], accepted):
+            found = _TYPES[type(given[name])]
+            return ComArmorError(f"{name} is {found}, expected TEXT", where=where, code="table-value")
+    texts = ("" if given[name] is None else strip(str(given[name])) for name in (*rows.REQUIRED, "audit"))
     # The column tells rows of one source apart where a line would; it is not shown.
     origin = Origin(where.file, 0, (), number) if source else where
     return rows.TableRow(where, origin, *texts)
-
-
-def _type_error(column: str, value: object, where: Origin) -> ComArmorError:
-    found = _TYPES[type(value)]
-    return ComArmorError(f"{column} is {found}, expected TEXT", where=where, code="table-value")
 
 
 _MOST_CSV, _MOST_SQLITE = 16 * 2**20, 32 * 2**20

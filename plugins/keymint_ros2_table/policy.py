@@ -51,7 +51,13 @@ def load(
     for source in sources:
         require_policies([source], "a CSV file or an SQLite database")
         maker.add(source.path)
-    return ComArmorPolicy(maker.policy())
+    if maker.diagnostics:
+        raise KeymintError.of(maker.diagnostics)
+    profiles = (
+        Profile(text, False, (subject,), (), tuple(maker.parts[text]), subject.where)
+        for text, subject in maker.subjects.items()
+    )
+    return ComArmorPolicy(comarmor.Policy(tuple(profiles), MappingProxyType(maker.seen)))
 
 
 @dataclass(slots=True)
@@ -106,20 +112,6 @@ class _PolicyMaker:
                 raise
             self.diagnostics += error.diagnostics
             self.parts.clear()  # there is no policy
-
-    def policy(self) -> comarmor.Policy:
-        """Return the policy.
-
-        Raises:
-            KeymintError: the defects.
-        """
-        if self.diagnostics:
-            raise KeymintError.of(self.diagnostics)
-        profiles = (
-            Profile(text, False, (subject,), (), tuple(self.parts[text]), subject.where)
-            for text, subject in self.subjects.items()
-        )
-        return comarmor.Policy(tuple(profiles), MappingProxyType(self.seen))
 
     def _subject(self, row: TableRow) -> str:
         """Return the expression of a row's subjects."""
@@ -188,18 +180,16 @@ class _PolicyMaker:
                 help="leave them empty: the file has its own", code="table-value",
             )  # fmt: skip
         if row.object not in self.included:
-            self.included[row.object] = self._of_library(row)
+            if self.library is None:
+                message = "there is no policy library to include from"
+                raise ComArmorError(message, where=row.where, code="include-missing")
+            try:
+                policy = load_included(row.object, row.where.file, self.library, self.library_shown)
+            except ComArmorError as error:
+                raise ComArmorError.of(_placed_at(each, row.where) for each in error.diagnostics) from None
+            self.seen |= policy.seen
+            self.included[row.object] = policy.profiles[0].parts
         return tuple(_moved(part, row.origin) for part in self.included[row.object])
-
-    def _of_library(self, row: TableRow) -> tuple[_Part, ...]:
-        if self.library is None:
-            raise ComArmorError("there is no policy library to include from", where=row.where, code="include-missing")
-        try:
-            policy = load_included(row.object, row.where.file, self.library, self.library_shown)
-        except ComArmorError as error:
-            raise ComArmorError.of(_placed_at(each, row.where) for each in error.diagnostics) from None
-        self.seen |= policy.seen
-        return policy.profiles[0].parts
 
 
 def _moved(part: _Part, where: Origin) -> _Part:

@@ -99,7 +99,6 @@ def row_origin(file: str, number: int, source: str) -> Origin:
     return Origin(shown, number)
 
 
-_NAMES = frozenset(COLUMNS)
 _MOST_CHARACTERS = 1 << 20
 """The most characters of a row."""
 _ENOUGH = 3
@@ -109,7 +108,7 @@ _ENOUGH = 3
 def is_header(line: str) -> bool:
     """Tell whether the first line of a text is that of a table of rules, perhaps with defects or other separators."""
     words = line.replace(";", ",").replace("\t", ",").replace('"', "").split(",")
-    return len({word.strip().lower() for word in words} & _NAMES) >= _ENOUGH
+    return len({word.strip().lower() for word in words}.intersection(COLUMNS)) >= _ENOUGH
 
 
 def rows_of_csv(content: bytes, file: str) -> Iterator[TableRow | ComArmorError]:
@@ -122,7 +121,7 @@ def rows_of_csv(content: bytes, file: str) -> Iterator[TableRow | ComArmorError]
     Raises:
         ComArmorError: the file as a whole cannot be read, with its line.
     """
-    records = _records(_text(content, file), file)
+    records = _records(content, file)
     header = next(records, None)
     if header is None:
         raise ComArmorError(
@@ -156,7 +155,8 @@ def rows_of_csv(content: bytes, file: str) -> Iterator[TableRow | ComArmorError]
             yield error
 
 
-def _text(content: bytes, file: str) -> io.TextIOWrapper:
+def _records(content: bytes, file: str) -> Iterator[tuple[int, list[str]]]:
+    """Yield each record, with its first line."""
     try:
         content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -164,11 +164,7 @@ def _text(content: bytes, file: str) -> io.TextIOWrapper:
         raise ComArmorError(
             "the table is not UTF-8", where=Origin(file, line), help="save it as CSV in UTF-8", code="table-encoding"
         ) from None
-    return io.TextIOWrapper(io.BytesIO(content), "utf-8-sig", newline="")  # a text of it may take four times the memory
-
-
-def _records(text: io.TextIOWrapper, file: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield each record, with its first line."""
+    text = io.TextIOWrapper(io.BytesIO(content), "utf-8-sig", newline="")  # as a str it may take four times the memory
     size = 0
 
     def lines() -> Iterator[str]:

@@ -125,12 +125,9 @@ def _set(charset: Charset) -> str:
         return _ANY
     is_negated = charset.ranges[-1][1] == MAX_CODE
     ranges = missing if is_negated else charset.intersection(_XML).ranges
-    members = "".join(_char(low) if low == high else f"{_char(low)}-{_char(high)}" for low, high in ranges)
+    ends = [(chr(low).translate(_SPECIAL), chr(high).translate(_SPECIAL)) for low, high in ranges]
+    members = "".join(low if low == high else f"{low}-{high}" for low, high in ends)
     return f"[{'^' if is_negated else ''}{members}]"
-
-
-def _char(code: int) -> str:
-    return _SPECIAL.get(code, chr(code))
 
 
 _DESCRIPTION = (
