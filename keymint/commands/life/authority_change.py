@@ -40,23 +40,6 @@ def given_authority(run: Run, certificate: Path, key: Path | None) -> GivenAutho
     return replace(given, key=read_input(run, key), key_file=Origin(str(key))) if key else given
 
 
-def _require_flag_day(session: Session, name: str) -> None:
-    """Require that old and new enclaves work together after a change of an authority's certificate.
-
-    Raises:
-        KeymintError: there are installed enclaves, and an implementation does not accept both certificates.
-    """
-    if titles := refusing_implementations(session, name, (), "reissues") if enclave_names(session) else ():
-        raise KeymintError(
-            f"a new certificate of {name!r} is a flag day: with {' and '.join(titles)}, subjects that have the old one "
-            "and subjects that have the new one do not communicate",
-            where=session.workspace.origin(session.workspace.authority_certificate(name)),
-            help=f"plan a common restart of all robots and say --flag-day, or stage a second keystore with "
-            f"'keymint authority replace {name}'",
-            code="authority-flag-day",
-        )
-
-
 def issued_again(run: Run, session: Session, first: Plan, name: str, *, flag_day: bool) -> Plan:
     """Return a plan that changes an authority, followed by what all installed enclaves get from it.
 
@@ -71,8 +54,16 @@ def issued_again(run: Run, session: Session, first: Plan, name: str, *, flag_day
         KeymintError: an enclave cannot be built, signed or proven; with all defects. Or the plan is a flag day, which
             the user did not accept.
     """
-    if first.writes() and not flag_day:
-        _require_flag_day(session, name)
+    asks = first.writes() and not flag_day and enclave_names(session)
+    if titles := refusing_implementations(session, name, (), "reissues") if asks else ():
+        raise KeymintError(
+            f"a new certificate of {name!r} is a flag day: with {' and '.join(titles)}, subjects that have the old one "
+            "and subjects that have the new one do not communicate",
+            where=session.workspace.origin(session.workspace.authority_certificate(name)),
+            help=f"plan a common restart of all robots and say --flag-day, or stage a second keystore with "
+            f"'keymint authority replace {name}'",
+            code="authority-flag-day",
+        )
     work = Work(session).then(first)
     changed = work.session
     if names := with_sources(changed):
@@ -88,10 +79,9 @@ def _lists_to_refresh(session: Session, changed: Session, name: str) -> tuple[st
     present = list_of(session, name)
     if present is None:
         return ()
-    end = present.next_update
     before, after = (plan_authorities(each)[1][name] for each in (session, changed))
-    ends_with_it = end == before.certificate.not_valid_after_utc < after.certificate.not_valid_after_utc
-    return (name,) if ends_with_it and after.can_sign else ()
+    end, later = before.certificate.not_valid_after_utc, after.certificate.not_valid_after_utc
+    return (name,) if present.next_update == end < later and after.can_sign else ()
 
 
 def _told(plan: Plan, session: Session, name: str) -> Plan:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin
@@ -13,7 +12,6 @@ from keymint.command_line.named_files import deliver, write_outputs
 from keymint.command_line.options import authority_argument
 from keymint.command_line.verb import FILE, Report, Run, flag, option, verb
 from keymint.errors import KeymintError, usage_error
-from keymint.workspace.session import Session
 
 
 @verb(of="authority")
@@ -41,34 +39,21 @@ def authority_export(
         )
     if key_file and output and (run.setting.cwd / key_file).resolve() == (run.setting.cwd / output).resolve():
         raise usage_error("the certificate and the private key would be written into one file", "name two files")
-    content = b"".join(_chain(session, name)) if chain else files.content
+    issuers = {each.name: each.certificate.issuer for each in session.profile.authorities}
+    names = authority_files.with_issuers(name, issuers) if chain else (name,)
+    content = b"".join(session.tree.read(session.workspace.authority_certificate(each)) or b"" for each in names)
     findings: list[Diagnostic] = []
     written: list[str] = []
     if key_file:
-        written += _export_key(run, files, key_file)
+        # As it is stored: encrypted if it has a password.
+        if files.authority.certificate.key.uri:
+            raise only_in_token(files.authority, "it returns none")
+        if files.key is None:
+            raise authority_files.key_elsewhere(files.name, files.key_file, "export it where it is")
+        written = write_outputs(run, key_file, files.key, secret=True)
         message = f"is the private key of the authority {name!r}: whoever has it can make any robot do anything"
         help_ = "move it to where it belongs, and delete it here"
         findings.append(Diagnostic.warning("key-exported", message, Origin(str(key_file)), help_))
     own = deliver(run, output, content)
     result = {"certificate": content.decode("ascii"), **own, "written": [*written, *own["written"]]}
     return run.report(result, findings, workspace=session.workspace)
-
-
-def _chain(session: Session, name: str) -> Iterator[bytes]:
-    """Yield the certificate of an authority, and of those above it."""
-    while name:
-        yield session.tree.read(session.workspace.authority_certificate(name)) or b""
-        name = authority_named(session, name).certificate.issuer
-
-
-def _export_key(run: Run, files: authority_files.AuthorityFiles, key_file: Path) -> list[str]:
-    """Write the private key of an authority as it is stored: encrypted if it has a password.
-
-    Raises:
-        KeymintError: it is not here, or lies in a token, or the file cannot be written.
-    """
-    if files.authority.certificate.key.uri:
-        raise only_in_token(files.authority, "it returns none")
-    if files.key is None:
-        raise authority_files.key_elsewhere(files.name, files.key_file, "export it where it is")
-    return write_outputs(run, key_file, files.key, secret=True)

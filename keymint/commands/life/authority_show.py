@@ -21,6 +21,7 @@ from keymint.examine.weaknesses import lacks
 from keymint.life.renewal_schedule import authority_renewals, installed_terms
 from keymint.life.revocation_lists_in_force import list_of
 from keymint.life.terms import DEFAULT, days_left
+from keymint.output.report import members
 from keymint.pki import certificates, distinguished_names, extensions, keys
 from keymint.workspace.session import Session
 
@@ -44,8 +45,8 @@ def authority_show(
     return run.report({"authorities": shown}, findings, workspace=session.workspace)
 
 
-def _documents(session: Session) -> list[dict[str, Any]]:
-    """Return each authority as it is, in the order of the profile.
+def _documents(session: Session) -> Iterator[dict[str, Any]]:
+    """Yield each authority as it is, in the order of the profile.
 
     Raises:
         KeymintError: a package has defects, or a revocation list is damaged.
@@ -53,12 +54,11 @@ def _documents(session: Session) -> list[dict[str, Any]]:
     used = uses(session)
     terms = installed_terms(session, session.packages()).values()
     due = authority_renewals(session, chain.from_iterable(terms))
-    documents = []
     for authority in session.profile.authorities:
         files = authority_files.read_files(session, authority)
         spec, rollover = authority.certificate, authority.issuance.rollover
         revocations = list_of(session, authority.name)
-        document = {
+        yield {
             "name": authority.name,
             "issuer": spec.issuer or None,
             "certificate": files.certificate and _certificate(files.certificate, due.get(authority.name)),
@@ -66,19 +66,13 @@ def _documents(session: Session) -> list[dict[str, Any]]:
             "imported": bool(spec.adopted),
             "serves": [asdict(use) for use in used[authority.name]],
             "revocation_list": revocations
-            and {
-                "number": revocations.number,
-                "next_update": revocations.next_update,
-                "revoked": len(revocations.revocations),
-            },
+            and {**members(revocations, "number", "next_update"), "revoked": len(revocations.revocations)},
             "replacement": rollover
             and {
                 "phase": rollover.phase.value,
                 "certificate": _certificate(certificates.load(rollover.certificate)),
             },
         }
-        documents.append(document)
-    return documents
 
 
 def _certificate(certificate: x509.Certificate, due: datetime | None = None) -> dict[str, Any]:

@@ -10,7 +10,6 @@ from typing import Any
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import quantity
-from comarmor.values import dataclass
 from keymint.command_line.options import packages_argument, prove_option, threshold
 from keymint.command_line.verb import Report, Run, findings_if, flag, option, verb
 from keymint.errors import KeymintError
@@ -77,24 +76,17 @@ def renew(
             due = Schedule(tuple(map(Due, packages)), due.lists, due.authorities, due.following)
         return _renewal(run, session, due, rekey=rekey and not run.resumes, prove=prove, alone=not names)
 
-    report, renewal = run.made(make_plan, lambda plan, renewal: exit_code_of(plan) or findings_if(renewal.found))
-    run.console.lines(renewal.lines)
-    return replace(report, result=renewal.result)
+    report, (result, lines, _) = run.made(make_plan, lambda plan, made: exit_code_of(plan) or findings_if(made[-1]))
+    run.console.lines(lines)
+    return replace(report, result=result)
 
 
-@dataclass(frozen=True, slots=True)
-class _Renewal:
-    """What is due and what is done about it.
+_Renewal = tuple[Mapping[str, Any], Sequence[str], bool]
+"""What is due and what is done about it.
 
-    Attributes:
-        result: for ``--json``.
-        lines: in words: what was done and why, what to restart, and what is next.
-        found: there is something that only a person can do, or with ``--dry-run`` something is due.
-    """
-
-    result: Mapping[str, Any]
-    lines: Sequence[str]
-    found: bool
+For ``--json``; in words: what was done and why, what to restart, and what is next; and whether there is something that
+only a person can do, or with ``--dry-run`` something is due.
+"""
 
 
 def _renewal(
@@ -145,7 +137,7 @@ def _renewal(
     rows = [
         {
             **_document(each, "subject"),
-            "until": _end(after, each.name),
+            "until": min((term.last for term in enclave_terms(after, each.name)), default=None),
             "key_elsewhere": bool(session.issuance(each.name).public_key),
         }
         for each in due.enclaves
@@ -171,7 +163,7 @@ def _renewal(
     is_due = run.dry_run and (due.lists or waiting_lists or len(due.enclaves) > len(result["unchanged"]))
     of_person = findings or any(each.code == DEFERRED for each in plan.diagnostics)
     result["unchanged"] = [each["subject"] for each in result["unchanged"]]
-    return plan, _Renewal(result, lines, bool(of_person or is_due))
+    return plan, (result, lines, bool(of_person or is_due))
 
 
 def _document(due: Due, whose: str) -> dict[str, Any]:
@@ -217,10 +209,6 @@ def _issued_again(run: Run, session: Session, due: Schedule, names: Sequence[str
     return plan
 
 
-def _end(session: Session, name: str) -> datetime | None:
-    return min((each.last for each in enclave_terms(session, name)), default=None)
-
-
 def _authority_due(due: AuthorityDue) -> Diagnostic:
     """Return the finding on an authority that is due."""
     first = (*due.issuers[::-1], due.name)[0]
@@ -262,18 +250,18 @@ def _lines(
     own = {each["subject"] for each in result["renewed"]}
     changed = [*map(subject_of, updated_packages(plan))]
     staged = [subject_of(step.package) for step in plan.steps if step.stage == STAGE and step.package and step.writes()]
-    elsewhere = [each["subject"] for each in result["renewed"] if each["key_elsewhere"]]
     for text, subjects in {
-        "deploy and restart before the old documents end": [each for each in changed if each in own],
-        "deploy the new revocation list and restart before the old one ends": [
+        "deploy and restart before the old documents end:": [each for each in changed if each in own],
+        "deploy the new revocation list and restart before the old one ends:": [
             each for each in changed if each not in own
         ],
-        "deploy install.next/ as well, which was staged by 'authority replace'": staged,
+        "deploy install.next/ as well, which was staged by 'authority replace':": staged,
+        "the key is not here: 'keymint bundle' carries the new documents to": [
+            each["subject"] for each in result["renewed"] if each["key_elsewhere"]
+        ],
     }.items():
         if subjects:
-            lines.append(f"{text}: {subject_list(subjects)}")
-    if elsewhere:
-        lines.append(f"the key is not here: 'keymint bundle' carries the new documents to {subject_list(elsewhere)}")
+            lines.append(f"{text} {subject_list(subjects)}")
     following = result["next"]
     if following and following["due"]:
         none = "" if due.enclaves else "nothing is due; "
