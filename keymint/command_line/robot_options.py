@@ -9,7 +9,7 @@ from pathlib import Path
 
 from keymint.command_line.verb import PATH, option
 from keymint.errors import usage_error
-from keymint.robots.robot_keystore import Keystore
+from keymint.robots.robot_keystore import RECORDS, Keystore
 from keymint.run.run import Run
 from keymint.store.store import Store
 from keymint.workspace.workspace import shown_path
@@ -38,7 +38,7 @@ def keystore_of(run: Run, folder: Path | None) -> Keystore:
 @contextlib.contextmanager
 def opened_store(run: Run, keystore: Keystore) -> Iterator[Store]:
     """Yield the writer of a keystore, whose lock is held; what was interrupted is finished or dropped first."""
-    store = Store({keystore.root: False}, keystore.records)
+    store = Store({keystore.root: False}, keystore.root / RECORDS)
     with store.locked(run.console.waiting):
         run.interrupted = store.recover()
         yield store

@@ -31,7 +31,7 @@ from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint.errors import KeymintError
 from keymint.names import name_of, package_name, subject_of
-from keymint.pki import certificates, cms
+from keymint.pki import certificates, cms, extensions
 from keymint.pki.revocation_lists import is_by, parse
 
 CERTIFICATE, KEY = "cert.pem", "key.pem"
@@ -128,7 +128,7 @@ def write(manifest: Manifest, files: Mapping[str, bytes], issuer: certificates.I
     """
     if problem := certificates.can_sign_documents(issuer.certificate):
         raise KeymintError.of([replace(problem, help=f"{problem.help}, then 'keymint authority renew' reissues it")])
-    encoded = dump(replace(manifest, files={name: _digest(content) for name, content in sorted(files.items())}))
+    encoded = dump(replace(manifest, files=_digests(files)))
     members = {**files, MANIFEST: encoded, SIGNATURE: cms.sign(encoded, issuer.certificate, issuer.key)}
     try:
         return pack(members)
@@ -154,7 +154,7 @@ def read(content: bytes, where: Origin) -> Bundle:
     members = dict(unpack(content, where))
     encoded, signature = members.pop(MANIFEST, b""), members.pop(SIGNATURE, b"")
     manifest = load(encoded, where)
-    if {name: _digest(data) for name, data in members.items()} != manifest.files:
+    if _digests(members) != manifest.files:
         raise _altered("has files that are not those of its manifest", where)
     authorities = certificates_of_authorities(members)
     try:
@@ -218,18 +218,15 @@ def revocation_lists(files: Mapping[str, bytes]) -> tuple[x509.CertificateRevoca
 
 def number_of(lists: Iterable[x509.CertificateRevocationList], authority: x509.Certificate) -> int:
     """Return the lowest number of the revocation lists of an authority (RFC 5280, 5.2.3); 0 if there is none."""
-    return min((_list_number(each) for each in lists if is_by(each, authority)), default=0)
-
-
-def _list_number(listed: x509.CertificateRevocationList) -> int:
     try:
-        return listed.extensions.get_extension_for_class(x509.CRLNumber).value.crl_number
-    except (x509.ExtensionNotFound, ValueError):
+        numbers = [extensions.value(each, x509.CRLNumber) for each in lists if is_by(each, authority)]
+    except ValueError:
         return 0
+    return min((each.crl_number if each else 0 for each in numbers), default=0)
 
 
-def _digest(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()
+def _digests(files: Mapping[str, bytes]) -> Mapping[str, str]:
+    return {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
 
 
 def _altered(message: str, where: Origin) -> KeymintError:
@@ -243,14 +240,10 @@ def _altered(message: str, where: Origin) -> KeymintError:
 def dump(manifest: Manifest) -> bytes:
     """Return a manifest in its canonical form."""
     values = {each.name: getattr(manifest, each.name) for each in fields(manifest)}
-    values |= {"format": FORMAT, "version": VERSION}
-    return json.dumps(values, sort_keys=True, separators=(",", ":"), ensure_ascii=False, default=_encoded).encode()
-
-
-def _encoded(value: Mapping[str, str] | datetime) -> object:
-    if isinstance(value, datetime):
-        return value.astimezone(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
-    return dict(value)
+    values |= {"format": FORMAT, "version": VERSION, "files": dict(manifest.files)}
+    for name in ("not_before", "not_after"):
+        values[name] = values[name].astimezone(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
+    return json.dumps(values, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
 
 
 def load(content: bytes, where: Origin) -> Manifest:

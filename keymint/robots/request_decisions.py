@@ -79,7 +79,8 @@ def plan_requests(
     new = {
         name: replace(session.issuance(name), public_key=request.public_key)
         for name, request in requests.items()
-        if not _is_kept_here(session, name, request)
+        # The workspace may have the private key itself, as that of a robot that was provisioned from here.
+        if session.issuance(name).public_key or known_fingerprint(session, name) != request.fingerprint
     }
     return plan_issuance(session, STAGE, new, "its key is on the robot"), requests
 
@@ -107,22 +108,18 @@ def _package(session: Session, given: Given, fingerprints: Mapping[str, str]) ->
             "read the fingerprint at the robot again, where 'keymint request' prints it",
             "request-exchanged",
         )
-    own = [name for name in named if _vouches(session, name, request)]
-    if not own:
-        why = ", and the key that signs it is not the one that the package has" if request.signer else ""
-        raise _refused(
-            f"nobody confirms that its key is that of {subject_of(named[0])}{why}",
-            given,
-            f"read the fingerprint at the robot and give it: --fingerprint {subject_of(named[0])}=…",
-            "request-unconfirmed",
-        )
-    return own[0]
-
-
-def _vouches(session: Session, name: str, request: CertificationRequest) -> bool:
-    """Tell whether the key that a package has signed a request, for itself or for another key."""
-    current, vouching = current_fingerprint(session, name), {request.fingerprint, request.signer}
-    return bool(current) and current in vouching and not register_of(session).barred(current)
+    for name in named:
+        # The key that the package has may sign the request, for itself or for another key.
+        current = current_fingerprint(session, name)
+        if current and current in {request.fingerprint, request.signer} and not register_of(session).barred(current):
+            return name
+    why = ", and the key that signs it is not the one that the package has" if request.signer else ""
+    raise _refused(
+        f"nobody confirms that its key is that of {subject_of(named[0])}{why}",
+        given,
+        f"read the fingerprint at the robot and give it: --fingerprint {subject_of(named[0])}=…",
+        "request-unconfirmed",
+    )
 
 
 def current_fingerprint(session: Session, name: str) -> str:
@@ -130,11 +127,6 @@ def current_fingerprint(session: Session, name: str) -> str:
     if public := session.issuance(name).public_key:
         return keys.fingerprint(keys.public_from_pem(public, place_of(session, name)))
     return known_fingerprint(session, name)
-
-
-def _is_kept_here(session: Session, name: str, request: CertificationRequest) -> bool:
-    """Tell whether the workspace has the private key itself, as that of a robot that was provisioned from here."""
-    return not session.issuance(name).public_key and known_fingerprint(session, name) == request.fingerprint
 
 
 def _refused(message: str, given: Given, help_: str, code: str) -> KeymintError:

@@ -26,6 +26,7 @@ from keymint.store.changes import File, FolderChange
 from keymint.view.tree import Tree
 
 RECORDS = ".keymint"
+"""The folder of Keymint's own records."""
 ENCLAVES = ("enclaves", "")
 """Folders below a keystore that may have the enclaves, one in each layout; see :class:`keymint.api.Layout`."""
 _REQUEST = "request.pem"
@@ -70,15 +71,6 @@ class Keystore:
         self.root = root
         self.shown = shown
         self._tree = Tree()
-
-    def read_again(self) -> Keystore:
-        """Return the keystore as it is now."""
-        return Keystore(self.root, self.shown)
-
-    @property
-    def records(self) -> Path:
-        """The folder of Keymint's own records."""
-        return self.root / RECORDS
 
     def folder(self, enclaves: str, name: str) -> Path:
         """Return the folder of an enclave.
@@ -139,7 +131,7 @@ class Keystore:
     # -- requests ------------------------------------------------------------------------------------------------
 
     def _waiting(self, name: str) -> Path:
-        return self.records / "requests" / name
+        return self.root / RECORDS / "requests" / name
 
     def request(self, name: str) -> bytes | None:
         """Return the file of the request that an enclave made last, or None if none waits for its answer."""

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
+
+from lxml import etree
 
 from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
@@ -19,10 +20,6 @@ from keymint.api import CertificateSpec, DomainRange, Extension, KeySpec, Validi
 from keymint.api.source_documents import domains, incomplete, place, require_new, text
 from keymint.errors import KeymintError
 from keymint_ros import validity
-
-if TYPE_CHECKING:
-    from lxml import etree
-
 
 AUTHORITY_PLACEHOLDERS = ("name",)
 """Placeholders of an authority: its name in the profile."""

@@ -13,7 +13,9 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Container, Iterator, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from lxml import etree
 
 from comarmor.errors import Origin
 from comarmor.values import dataclass
@@ -23,9 +25,6 @@ from keymint.errors import KeymintError, known_authority
 from keymint_ros import certificate, validity
 from keymint_ros.bootstrap import filled_file
 from keymint_ros.manifest import ISSUANCE
-
-if TYPE_CHECKING:
-    from lxml import etree
 
 AUTHORITY_ISSUANCE = "authority_issuance.xml"
 PACKAGES_LOCK = "packages.lock.xml"

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING
+
+from lxml import etree
 
 from comarmor.errors import Origin
 from comarmor.values import dataclass
@@ -12,9 +13,6 @@ from comarmor.xml.reader import line
 from keymint.api import Role
 from keymint.api.source_documents import Reader, file_in, normal_path, place, require_new, text
 from keymint.errors import KeymintError
-
-if TYPE_CHECKING:
-    from lxml import etree
 
 MARKER = "keymint_package.xml"
 ISSUANCE = "issuance.xml"

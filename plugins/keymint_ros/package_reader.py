@@ -7,7 +7,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from itertools import chain
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
+
+from lxml import etree
 
 from comarmor.errors import Defects, Origin
 from comarmor.text import did_you_mean
@@ -34,10 +36,6 @@ from keymint_ros.certificate import IssuedElement
 from keymint_ros.manifest import MARKER, SIGNER, PackageManifest, PackagePart
 from keymint_ros.profile_reader import base_of
 from keymint_ros.taken_over import PREFIX
-
-if TYPE_CHECKING:
-    from lxml import etree
-
 
 _Issued = TypeVar("_Issued", CertificateSpec, Grant)
 

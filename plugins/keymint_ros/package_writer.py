@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
-from typing import TYPE_CHECKING
+
+from lxml import etree
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.rules import KIND_OF, Effect
@@ -26,10 +27,6 @@ from keymint_ros import bootstrap, manifest, permissions, validity
 from keymint_ros.manifest import BUILD_TYPE, MARKER
 from keymint_ros.permissions import WrittenGrant
 from keymint_ros.profile_reader import base_of
-
-if TYPE_CHECKING:
-    from lxml import etree
-
 
 FORMER = ".2018"
 """Suffix of the backup of a ``permissions.xml`` in the format of 2018 that a new one replaces."""

@@ -135,20 +135,13 @@ _read = Reader("keymint_ros", "permissions", _grant)
 
 
 def _rule(element: etree._Element) -> Rule:
-    expressions, partitions, permissions = [], [], []
-    for part in element:
-        if part.tag == "attachment":
-            expressions.append(strip(part.text or ""))
-        elif part.tag == "permissions":
-            permissions += [str(permission.tag) for permission in part]
-        else:
-            partitions += [strip(partition.text or "") for partition in part]
+    permissions = (str(each.tag) for part in element.iterchildren("permissions") for each in part)
     return Rule(
         effect=Effect(element.get("qualifier", "").strip()),
         kind=str(element.tag),
         permissions=tuple(dict.fromkeys(permissions)),
-        expressions=tuple(expressions),
-        partitions=tuple(partitions),
+        expressions=tuple(strip(each.text or "") for each in element.iterchildren("attachment")),
+        partitions=tuple(strip(each.text or "") for part in element.iterchildren("partitions") for each in part),
         audit=element.get("modifier") is not None,
         origin=parse_origin(element.get("origin", "")) or place(element),
     )
@@ -158,26 +151,20 @@ def _check_edited(grant: etree._Element) -> None:
     """Check the expressions of an edited document; those of the policy were checked with the policy."""
     for tag in ("attachment", "partition"):
         for element in grant.iter(tag):
-            expression = strip(element.text or "")
-            if (not expression and tag == "attachment") or _PLACEHOLDER.search(expression):
-                raise KeymintError(
-                    "placeholders and tunables are expanded in this document"
-                    if expression
-                    else "the attachment is empty",
-                    where=place(element),
-                    help="write the full name or expression, e.g. /robot1/chatter",
-                    code="expression-invalid",
-                )
-            try:
-                parse_expression(expression)
-            except KeymintError as error:
-                (diagnostic,) = error.diagnostics
-                raise KeymintError(
-                    diagnostic.message,
-                    where=place(element),
-                    help=diagnostic.help or "expressions are those of POSIX fnmatch; '\\' escapes",
-                    code="expression-invalid",
-                ) from None
+            expression, message = strip(element.text or ""), ""
+            help_ = "write the full name or expression, e.g. /robot1/chatter"
+            if not expression and tag == "attachment":
+                message = "the attachment is empty"
+            elif _PLACEHOLDER.search(expression):
+                message = "placeholders and tunables are expanded in this document"
+            else:
+                try:
+                    parse_expression(expression)
+                except KeymintError as error:
+                    message = error.diagnostics[0].message
+                    help_ = error.diagnostics[0].help or "expressions are those of POSIX fnmatch; '\\' escapes"
+            if message:
+                raise KeymintError(message, where=place(element), help=help_, code="expression-invalid")
 
 
 def has_rules(grant: WrittenGrant, rules: SubjectRules) -> bool:

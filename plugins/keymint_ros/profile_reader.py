@@ -8,7 +8,8 @@ import posixpath
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+from lxml import etree
 
 from comarmor.errors import Origin
 from comarmor.xml.reader import line
@@ -18,9 +19,6 @@ from keymint.errors import KeymintError, known_authority
 from keymint_ros import bootstrap, certificate, decisions, distros, manifest, validity
 from keymint_ros.certificate import IssuedElement
 from keymint_ros.manifest import BUILD_TYPE
-
-if TYPE_CHECKING:
-    from lxml import etree
 
 MANIFEST = "keymint_profile.xml"
 NAME = "keymint_ros"

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING
+
+from lxml import etree
 
 from comarmor.errors import Origin
 from comarmor.text import quote
@@ -13,9 +14,6 @@ from keymint.api import Validity
 from keymint.api.source_documents import place, text
 from keymint.errors import KeymintError
 from keymint.pki import periods
-
-if TYPE_CHECKING:
-    from lxml import etree
 
 _YEARS = range(1950, 10000)
 """RFC 5280, 4.1.2.5: the years that UTCTime and GeneralizedTime of a certificate can express."""

@@ -9,7 +9,7 @@ what no keystore can hold, are its deviations.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import replace
 
 from lxml import etree
@@ -132,6 +132,7 @@ _PARTS = {
 }
 """What a permission on a name lets do, and the DDS topics: what stands before the name, and what may stand after it."""
 
+_ACTIONS = ("publish", "subscribe")
 _Topic = tuple[str, str]
 """What may be done, and the DDS topic."""
 
@@ -152,36 +153,31 @@ def permissions_document(enclave: syntax.Sros2Enclave, *, graph: bool) -> bytes:
     root.set(f"{{{_XSI}}}noNamespaceSchemaLocation", _SCHEMA)
     permissions = etree.SubElement(root, "permissions")
     for group in enclave.groups:
-        permissions.append(_grant(enclave, group, graph=graph))
+        grant = etree.SubElement(permissions, "grant", name=enclave.path)
+        etree.SubElement(grant, "subject_name").text = subject_name(enclave)
+        validity = etree.SubElement(grant, "validity")
+        etree.SubElement(validity, "not_before").text = _BEGIN
+        etree.SubElement(validity, "not_after").text = _END
+        _add_rule(grant, "deny_rule", set(_topics(group, Effect.DENY)))
+        _add_rule(grant, "allow_rule", set(_topics(group, Effect.ALLOW)))
+        if graph:
+            _add_rule(grant, "allow_rule", {(action, syntax.GRAPH_TOPIC) for action in _ACTIONS})
+        etree.SubElement(grant, "default").text = "DENY"
     etree.indent(root)
     return etree.tostring(root, encoding="UTF-8", xml_declaration=True)
 
 
-def _grant(enclave: syntax.Sros2Enclave, group: syntax.NodeGroup, *, graph: bool) -> etree._Element:
-    grant = etree.Element("grant", name=enclave.path)
-    etree.SubElement(grant, "subject_name").text = subject_name(enclave)
-    validity = etree.SubElement(grant, "validity")
-    etree.SubElement(validity, "not_before").text = _BEGIN
-    etree.SubElement(validity, "not_after").text = _END
-    for tag, effect in (("deny_rule", Effect.DENY), ("allow_rule", Effect.ALLOW)):
-        if topics := set(_topics(group, effect)):
-            grant.append(_rule(tag, topics))
-    if graph:
-        grant.append(_rule("allow_rule", {("publish", syntax.GRAPH_TOPIC), ("subscribe", syntax.GRAPH_TOPIC)}))
-    etree.SubElement(grant, "default").text = "DENY"
-    return grant
-
-
-def _rule(tag: str, topics: Iterable[_Topic]) -> etree._Element:
-    rule = etree.Element(tag)
+def _add_rule(grant: etree._Element, tag: str, topics: Collection[_Topic]) -> None:
+    """Add a rule for domain 0, if there are topics for it."""
+    if not topics:
+        return
+    rule = etree.SubElement(grant, tag)
     etree.SubElement(etree.SubElement(rule, "domains"), "id").text = "0"
-    for action in ("publish", "subscribe"):
-        names = sorted(name for each, name in topics if each == action)
-        if names:
+    for action in _ACTIONS:
+        if names := sorted(name for each, name in topics if each == action):
             listed = etree.SubElement(etree.SubElement(rule, action), "topics")
             for name in names:
                 etree.SubElement(listed, "topic").text = name
-    return rule
 
 
 def _topics(group: syntax.NodeGroup, effect: Effect) -> Iterator[_Topic]:

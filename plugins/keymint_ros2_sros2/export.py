@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 from types import MappingProxyType
 
 from lxml import etree
@@ -85,8 +86,7 @@ def services(rules: Iterable[Rule]) -> Mapping[tuple[Effect, str, str], tuple[_N
         (rule.effect, permission, expression)
         for rule in rules
         if is_raw(rule)
-        for permission in rule.permissions
-        for expression in rule.expressions
+        for permission, expression in product(rule.permissions, rule.expressions)
     }
     found: dict[tuple[Effect, str, str], tuple[_Name, ...]] = {}
     for effect, permission, expression in raw:
@@ -196,20 +196,19 @@ def _enclave(
             help_ = "with --lossy the rule stays, without AUDIT"
             found.append(_lost("sros2-audit", message, rule, path, help_, lossy=lossy))
         names: dict[_Name, None] = {}
-        for permission in rule.permissions:
-            for expression in rule.expressions:
-                try:
-                    if is_graph(rule, permission, expression):
-                        graph.add(permission)
-                    elif is_raw(rule) and (rule.effect, permission, expression) in pairs:
-                        names |= dict.fromkeys(pairs[rule.effect, permission, expression])
-                    else:
-                        names |= dict.fromkeys(expressed_names(rule, permission, expression))
-                except UnsayableError as error:
-                    message = f"SROS2 cannot say {rule.effect} {permission} {quote(expression)}: {error}"
-                    found.append(_unsayable(message, rule, path, lossy=lossy))
-                    continue
-                kept.append(replace(rule, permissions=(permission,), expressions=(expression,)))
+        for permission, expression in product(rule.permissions, rule.expressions):
+            try:
+                if is_graph(rule, permission, expression):
+                    graph.add(permission)
+                elif is_raw(rule) and (rule.effect, permission, expression) in pairs:
+                    names |= dict.fromkeys(pairs[rule.effect, permission, expression])
+                else:
+                    names |= dict.fromkeys(expressed_names(rule, permission, expression))
+            except UnsayableError as error:
+                message = f"SROS2 cannot say {rule.effect} {permission} {quote(expression)}: {error}"
+                found.append(_unsayable(message, rule, path, lossy=lossy))
+                continue
+            kept.append(replace(rule, permissions=(permission,), expressions=(expression,)))
         lists += _lists(rule, names)
     allows_graph = graph == {"publish", "subscribe"}
     if not allows_graph:

@@ -127,10 +127,15 @@ class Placed:
         """
         for element in self.element:
             child = Placed(element, self.file, self.notes, self.chain)
-            if element.tag in INCLUDES.tags:
-                yield from _included(child)
-            else:
+            if element.tag not in INCLUDES.tags:
                 yield child
+                continue
+            file, where = self.file.includes[element], child.where
+            introduction = () if self.chain else child.before
+            root = Placed(file.root, file, self.notes, (where.alone(), *self.chain))
+            for item in _selected(root, _steps(element, where), where):
+                yield replace(item, introduction=introduction or item.introduction)
+                introduction = ()
 
 
 def read(path: Path) -> tuple[Placed, Mapping[Path, bytes]]:
@@ -154,15 +159,6 @@ def read(path: Path) -> tuple[Placed, Mapping[Path, bytes]]:
         notes[document] = comments_of(document.content, document.root)
     (file,) = files.roots
     return Placed(file.root, file, notes), files.seen
-
-
-def _included(include: Placed) -> Iterator[Placed]:
-    file, where = include.file.includes[include.element], include.where
-    introduction = () if include.chain else include.before
-    root = Placed(file.root, file, include.notes, (where.alone(), *include.chain))
-    for item in _selected(root, _steps(include.element, where), where):
-        yield replace(item, introduction=introduction or item.introduction)
-        introduction = ()
 
 
 def _selected(root: Placed, steps: tuple[str, ...], where: Origin) -> Iterator[Placed]:

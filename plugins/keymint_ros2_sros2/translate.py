@@ -58,21 +58,17 @@ def load(sources: Sequence[PolicySource], *_of_includes: object) -> ComArmorPoli
                     f"the enclave {enclave.path} is also at {profiles[enclave.path].where}", where=enclave.where,
                     help="write one <enclave>", code="sros2-path-twice",
                 )  # fmt: skip
-            profiles[enclave.path] = _loaded_profile(enclave, graph=policy.has_graph)
+            rules = (
+                ProfileRule(
+                    rule.effect, rule.kind, rule.permissions,
+                    tuple(Attachment(expression, rule.origin) for expression in rule.expressions),
+                    rule.partitions, rule.audit, rule.origin,
+                )
+                for rule in syntax.rules_of([enclave], graph=policy.has_graph)
+            )  # fmt: skip
+            name = Attachment(enclave.path, enclave.where)
+            profiles[enclave.path] = Profile(enclave.path, False, (name,), (), tuple(rules), enclave.where)
     return ComArmorPolicy(comarmor.Policy(tuple(profiles.values()), seen=MappingProxyType(seen)))
-
-
-def _loaded_profile(enclave: syntax.Sros2Enclave, *, graph: bool) -> Profile:
-    rules = (
-        ProfileRule(
-            rule.effect, rule.kind, rule.permissions,
-            tuple(Attachment(expression, rule.origin) for expression in rule.expressions),
-            rule.partitions, rule.audit, rule.origin,
-        )
-        for rule in syntax.rules_of([enclave], graph=graph)
-    )  # fmt: skip
-    where = enclave.where
-    return Profile(enclave.path, False, (Attachment(enclave.path, where),), (), tuple(rules), where)
 
 
 Atom = tuple[Effect, str, str, str]

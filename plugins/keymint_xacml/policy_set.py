@@ -212,7 +212,15 @@ def _document(subjects: Iterable[tuple[str, Sequence[_XacmlRule]]]) -> bytes:
     _child(outer, "Target")
     inner = _child(outer, "PolicySet", **_of_policy_set("subjects", POLICIES_DENY_OVERRIDES))
     _child(inner, "Target")
-    _guard(inner)
+    # This policy denies a request without exactly one value of each attribute.
+    guard = _policy(inner, "one-value-of-each-attribute", "Without exactly one value of each attribute.")
+    _child(guard, "Target")
+    condition = _child(_child(guard, "Rule", RuleId="1", Effect="Deny"), "Condition")
+    all_of = _child(_child(condition, "Apply", FunctionId=NOT), "Apply", FunctionId=AND)
+    for attribute in ATTRIBUTES:
+        equal = _child(all_of, "Apply", FunctionId=INTEGER_EQUAL)
+        _designator(_child(equal, "Apply", FunctionId=BAG_SIZE), attribute)
+        _child(equal, "AttributeValue", "1", DataType=INTEGER)
     for subject, rules in subjects:
         if not rules:
             continue  # the outer set denies everything
@@ -240,18 +248,6 @@ def _policy(parent: etree._Element, name: str, description: str) -> etree._Eleme
     policy = _child(parent, "Policy", PolicyId=f"{OWN}{name}", Version="1.0", RuleCombiningAlgId=RULES_DENY_OVERRIDES)
     _child(policy, "Description", description)
     return policy
-
-
-def _guard(parent: etree._Element) -> None:
-    """Add the policy that denies a request without exactly one value of each attribute."""
-    policy = _policy(parent, "one-value-of-each-attribute", "Without exactly one value of each attribute.")
-    _child(policy, "Target")
-    condition = _child(_child(policy, "Rule", RuleId="1", Effect="Deny"), "Condition")
-    all_of = _child(_child(condition, "Apply", FunctionId=NOT), "Apply", FunctionId=AND)
-    for attribute in ATTRIBUTES:
-        equal = _child(all_of, "Apply", FunctionId=INTEGER_EQUAL)
-        _designator(_child(equal, "Apply", FunctionId=BAG_SIZE), attribute)
-        _child(equal, "AttributeValue", "1", DataType=INTEGER)
 
 
 def _rule(policy: etree._Element, number: int, said: _XacmlRule) -> None:

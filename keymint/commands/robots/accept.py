@@ -61,7 +61,7 @@ def accept(
     taken = [_taken(run, keystore, file, each, owner) for file, each in read]  # what is refused creates no keystore
     if not run.dry_run:
         with opened_store(run, keystore) as store:
-            there = keystore.read_again()
+            there = keystore_of(run, folder)
             taken = [_taken(run, there, file, each, owner) for file, each in read]
             answered = [there.forget(each.bundle.manifest.name) for each in taken if each.acceptance.answered]
             store.begin(run.intent())

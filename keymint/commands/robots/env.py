@@ -13,7 +13,6 @@ from keymint.host.shells import SHELLS, exports
 from keymint.names import package_name, subject_of
 from keymint.stages.environment_scripts import enclave_environment
 from keymint.workspace.installed_enclaves import enclave_names
-from keymint.workspace.session import Session
 
 
 @verb()
@@ -32,31 +31,20 @@ def env(
     (.zsh, .fish).
     """
     session = run.inputs(run.workspace()).session()
-    name = _installed(session, enclave)
-    values = enclave_environment(session, name)
-    run.console.document(exports(values, shell).encode(errors="surrogateescape"))
-    result = {"enclave": subject_of(name), "variables": dict(values)}
-    return run.report(result, workspace=session.workspace)
-
-
-def _installed(session: Session, typed: str) -> str:
-    """Return the package of an installed enclave.
-
-    Raises:
-        KeymintError: there is none of that name.
-    """
-    name, known = package_name(typed), enclave_names(session)
-    if name in known:
-        return name
-    where = session.workspace.origin(session.enclaves)
-    if name in session.packages():
+    name, known = package_name(enclave), enclave_names(session)
+    where, subject = session.workspace.origin(session.enclaves), subject_of(name)
+    if name not in known and name in session.packages():
         raise KeymintError(
-            f"the enclave {subject_of(name)} is not installed", where=where, help=f"run 'keymint install {name}'",
+            f"the enclave {subject} is not installed", where=where, help=f"run 'keymint install {name}'",
             code="not-installed",
         )  # fmt: skip
-    raise KeymintError(
-        f"there is no enclave {subject_of(name)}",
-        where=where,
-        help=did_you_mean(subject_of(name), [subject_of(each) for each in known], "'keymint status' lists them"),
-        code="enclave-unknown",
-    )
+    if name not in known:
+        raise KeymintError(
+            f"there is no enclave {subject}",
+            where=where,
+            help=did_you_mean(subject, [subject_of(each) for each in known], "'keymint status' lists them"),
+            code="enclave-unknown",
+        )
+    values = enclave_environment(session, name)
+    run.console.document(exports(values, shell).encode(errors="surrogateescape"))
+    return run.report({"enclave": subject, "variables": dict(values)}, workspace=session.workspace)

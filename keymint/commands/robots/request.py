@@ -65,13 +65,13 @@ def request(
     keystore = keystore_of(run, folder)
     kind = replace(_KINDS[key_type], uri=uri, pin_env=pin_env)
     with opened_store(run, keystore) as store, contextlib.closing(run.tokens):
-        there = keystore.read_again()
+        there = keystore_of(run, folder)
         content = None if discard else there.request(name)
         if content is None:
             content, new_key = _made(run, there, name, rekey=rekey, kind=kind)
             store.begin(run.intent())
             store.commit(store.stage([there.wait(name, content, new_key)]))
-            there = keystore.read_again()
+            there = keystore_of(run, folder)
         elif rekey and not uri and (waiting := there.pending(name)) is not None and not waiting.key:
             raise KeymintError(
                 f"a request of {subject_of(name)} for the key that it has waits for its answer",
@@ -114,7 +114,8 @@ def _made(run: Run, there: Keystore, name: str, *, rekey: bool, kind: KeySpec) -
     nonce, claimed = secrets.token_hex(requests.NONCE_BYTES), common_name(subject_of(name))
     place = f"{there.shown}/…/{name}"
     present = keys.from_pem(files[KEY], None, Origin(f"{place}/{KEY}")) if KEY in files else None
-    token = _in_token(run, kind) if kind.uri else None
+    where = Origin("--pkcs11")
+    token = run.tokens.private_key(kind, run.tokens.public_key(kind, where), where) if kind.uri else None
     certified = _certified(there, name)
     if certified and not rekey and (present is None if token is None else keys.fingerprint(token) != certified):
         raise KeymintError(
@@ -135,9 +136,3 @@ def _made(run: Run, there: Keystore, name: str, *, rekey: bool, kind: KeySpec) -
         return requests.make(claimed, token, nonce, None if own else current), b""
     key = keys.generate(kind)
     return requests.make(claimed, key, nonce, current), keys.to_pem(key)
-
-
-def _in_token(run: Run, spec: KeySpec) -> keys.PrivateKey:
-    """Return the key that a token has; errors as :meth:`keymint.pki.tokens.token_sessions.Tokens.public_key`."""
-    where = Origin("--pkcs11")
-    return run.tokens.private_key(spec, run.tokens.public_key(spec, where), where)
