@@ -6,27 +6,17 @@ It is read from a package's document and its defaults.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import MISSING, field, fields, replace
 from datetime import UTC, datetime
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
-from comarmor.errors import Defects, Diagnostic, Origin
+from comarmor.errors import Defects, Origin
 from comarmor.text import quote
 from comarmor.values import dataclass
 from comarmor.xml.reader import line
-from keymint.api import (
-    CertificateSpec,
-    DomainRange,
-    Grant,
-    KeySpec,
-    Package,
-    PackageSettings,
-    PackageSources,
-    SourcePart,
-    Validity,
-)
+from keymint import api
 from keymint.api.source_documents import DEFAULT_DOMAINS, Reader, domains, incomplete, signer, text
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
@@ -72,7 +62,7 @@ class DomainRule:
         domains_origin: where its domains are written, if not at ``origin``.
     """
 
-    domains: tuple[DomainRange, ...]
+    domains: tuple[api.DomainRange, ...]
     topic_rules: tuple[TopicProtection, ...]
     origin: Origin = field(compare=False)
     domains_origin: Origin | None = field(default=None, compare=False)
@@ -108,7 +98,7 @@ class DdsSettings:
     accepts_token_keys: bool = False
 
 
-def settings_of(package: Package) -> DdsSettings:
+def settings_of(package: api.Package) -> DdsSettings:
     """Return what this build type read from the sources of a package that it builds."""
     settings = package.settings[BUILD_TYPE]
     if not isinstance(settings, DdsSettings):
@@ -116,7 +106,7 @@ def settings_of(package: Package) -> DdsSettings:
     return settings
 
 
-def validity_of(grant: Grant) -> Validity:
+def validity_of(grant: api.Grant) -> api.Validity:
     """Return the period in which a grant is valid, which every grant of DDS has (DDS Security 1.1, 9.4.1.3).
 
     Raises:
@@ -127,25 +117,25 @@ def validity_of(grant: Grant) -> Validity:
     return grant.validity
 
 
-_VALIDITY = Validity(datetime(2000, 1, 1, tzinfo=UTC), datetime(2001, 1, 1, tzinfo=UTC))
+_VALIDITY = api.Validity(datetime(2000, 1, 1, tzinfo=UTC), datetime(2001, 1, 1, tzinfo=UTC))
 """Any period that documents can express: the findings on rules do not depend on it."""
 _NAME = "CN=/subject"
 """Any subject name that is one: what names of subjects become is decided by the settings of a package."""
-_EVERYWHERE = (DomainRange(0, 0),)
+_EVERYWHERE = (api.DomainRange(0, 0),)
 _ANYWHERE = Origin(BUILD_TYPE)
 _PROTECTION = DomainRule(_EVERYWHERE, (), _ANYWHERE, rtps_protection_kind="ENCRYPT")
 
 
-def package_of(rules: SubjectRules, distro: str) -> Package:
+def package_of(rules: SubjectRules, distro: str) -> api.Package:
     """Return a package with these rules, and with valid settings for all else."""
     subject = rules.subject
-    origin = Origin(subject)
-    return Package(
+    origin, key = Origin(subject), api.KeySpec("ec", "SECP256R1")
+    return api.Package(
         name=name_of(subject),
         subject=subject,
         distro=distro,
-        identity=CertificateSpec(_NAME, _VALIDITY, None, "identity", "SHA256", KeySpec("ec", "SECP256R1"), (), origin),
-        grant=Grant("permissions", subject, _NAME, _VALIDITY, _EVERYWHERE, rules, origin),
+        identity=api.CertificateSpec(_NAME, _VALIDITY, None, "identity", "SHA256", key, (), origin),
+        grant=api.Grant("permissions", subject, _NAME, _VALIDITY, _EVERYWHERE, rules, origin),
         build_types=(BUILD_TYPE,),
         settings={BUILD_TYPE: DdsSettings("permissions", (_PROTECTION,))},
     )
@@ -159,7 +149,7 @@ KEY_URIS = "token_keys"
 """What a profile accepts that only participants of Fast DDS can use."""
 
 
-def settings(sources: PackageSources) -> PackageSettings:
+def settings(sources: api.PackageSources) -> api.PackageSettings:
     """Return the governance of a package: see :meth:`keymint.api.BuildType.settings`.
 
     Raises:
@@ -167,21 +157,23 @@ def settings(sources: PackageSources) -> PackageSettings:
     """
     defects = Defects()
     governance = defects.attempt(partial(_governance, sources, sources.parts[PART]))
-    if sources.grant:
-        defects.found += _grant_defects(sources.grant)
+    grant = sources.grant
+    if grant and (not grant.subject_name or grant.validity is None):  # it must have both (DDS Security 1.1, 9.4.1.3)
+        missing = "validity" if grant.subject_name else "subject_name"
+        defects.found += incomplete("grant", missing, grant.defaults_origin or grant.origin).diagnostics
     if governance is None or defects.found:
         raise KeymintError.of(defects.found)
-    if sources.grant and sources.grant.issuer != governance.issuer:
+    if grant and grant.issuer != governance.issuer:
         raise KeymintError(
-            f"permissions are signed by {sources.grant.issuer!r}, governance by {governance.issuer!r}",
+            f"permissions are signed by {grant.issuer!r}, governance by {governance.issuer!r}",
             where=sources.parts[PART].where,
             help="use the same authority for both: a DDS participant verifies both with one certificate",
             code="signers-differ",
         )
-    return PackageSettings(governance)
+    return api.PackageSettings(governance)
 
 
-def _governance(sources: PackageSources, part: SourcePart) -> DdsSettings:
+def _governance(sources: api.PackageSources, part: api.SourcePart) -> DdsSettings:
     own = () if part.content is None else _read(part.content, part.file).iterfind("domain_access_rules/domain_rule")
     if part.defaults is None:
         raise KeymintError(
@@ -195,13 +187,6 @@ def _governance(sources: PackageSources, part: SourcePart) -> DdsSettings:
     issuer = signer(part.issuer, part.where, usual, base.origin, sources.authorities)
     rules = tuple(_domain_rule(element, part.file, base, general) for element in own) or (base,)
     return DdsSettings(issuer, rules, OPEN_GOVERNANCE in sources.accepts, KEY_URIS in sources.accepts)
-
-
-def _grant_defects(grant: Grant) -> Iterator[Diagnostic]:
-    """Yield what a grant lacks: it must have a subject name and a validity (DDS Security 1.1, 9.4.1.3)."""
-    missing = "subject_name" if not grant.subject_name else "validity" if grant.validity is None else ""
-    if missing:
-        yield from incomplete("grant", missing, grant.defaults_origin or grant.origin).diagnostics
 
 
 def _settings(element: etree._Element, known: Mapping[str, Any]) -> Mapping[str, Any]:

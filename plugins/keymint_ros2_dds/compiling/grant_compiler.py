@@ -87,14 +87,11 @@ def _minimal_rules(lowered: Lowered, report: _PortabilityReport) -> tuple[GrantR
         report.add(error.code, None, error.pattern, error.reason)
     except StepLimitError as error:
         reason = f"it overlaps with others in too many ways: no order of the rules in {error.steps:,} steps"
-        report.add("portability-effort", None, _widest(lowered), reason)
+        # The pattern with the most wildcards is likely the hardest to order.
+        patterns = (pattern for _, _, pattern, _ in lowered.patterns())
+        hard = min(patterns, key=lambda each: (-sum(not isinstance(token, str) for token in each), sort_key(each)))
+        report.add("portability-effort", None, hard, reason)
     return standard_rules(lowered)
-
-
-def _widest(lowered: Lowered) -> Glob:
-    """Return the pattern with the most wildcards, which is likely the hardest to order."""
-    patterns = (pattern for _, _, pattern, _ in lowered.patterns())
-    return min(patterns, key=lambda pattern: (-sum(not isinstance(token, str) for token in pattern), sort_key(pattern)))
 
 
 def _plain(lowered: Lowered, report: _PortabilityReport) -> tuple[GrantRule[str], ...]:

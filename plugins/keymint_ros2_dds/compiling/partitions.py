@@ -53,14 +53,7 @@ def uniform(allow: Iterable[Step], deny: Iterable[Step]) -> Partitions | None:
     if len(lists) > 1:
         return None
     shared = lists.pop()
-    if any(_remaining(shared, listed) not in {(), shared} for _, listed in deny):
-        return None
-    return shared
-
-
-def touches(shared: Partitions, denied: Partitions) -> bool:
-    """Tell whether a deny in these partitions removes all partitions of a list."""
-    return not _remaining(shared, denied)
+    return None if any(remaining(shared, listed) not in {(), shared} for _, listed in deny) else shared
 
 
 def unsafe(allow: Iterable[Step]) -> Iterator[tuple[Glob, str]]:
@@ -106,22 +99,22 @@ def _within(inner: Partitions, outer: Partitions) -> bool:
     return all(name in outer or any(covers(globs.parse(o), globs.parse(name)) for o in outer) for name in inner)
 
 
-def _remaining(allowed: Partitions, denied: Partitions) -> Partitions:
+def remaining(allowed: Partitions, denied: Partitions) -> Partitions:
     """Return the allowed partitions that remain after a deny of ``denied`` (empty: every partition).
 
     Raises:
         ValueError: the deny removes only a part of the names that an expression matches.
     """
     refused = [globs.parse(expression) for expression in denied] if denied else [EVERYTHING]
-    remaining: list[str] = []
+    left: list[str] = []
     for expression in allowed:
         glob = globs.parse(expression)
         if any(covers(other, glob) for other in refused):
             continue
         if not all(disjoint(other, glob) for other in refused):
             raise ValueError
-        remaining.append(expression)
-    return tuple(remaining)
+        left.append(expression)
+    return tuple(left)
 
 
 def decision_list(allow: Sequence[Step], deny: Sequence[Step]) -> list[Step]:
@@ -282,15 +275,15 @@ def _effective(pattern: Glob, allow: _Side, deny: _Side) -> Partitions:
         denied = list(deny.covering(pattern))
     except TooComplexError:
         raise UnportableError(pattern, "its overlaps with other patterns are too complex to compute") from None
-    remaining = _reduced(listed)
+    left = _reduced(listed)
     for other, names in denied:
-        if remaining:
+        if left:
             try:
-                remaining = _remaining(remaining, names)
+                left = remaining(left, names)
             except ValueError:
-                reason = f"it removes a part of the partitions {' '.join(remaining)}, which vendors read differently"
+                reason = f"it removes a part of the partitions {' '.join(left)}, which vendors read differently"
                 raise UnportableError(other, reason) from None
-    return remaining
+    return left
 
 
 def _closure(wild: Sequence[Glob], denials: Sequence[Glob]) -> list[Glob]:

@@ -19,7 +19,7 @@ from comarmor.patterns import glob
 from comarmor.patterns.glob import matcher, matches
 from comarmor.patterns.relations import all_disjoint
 from comarmor.rules import Effect
-from keymint.keymake.gather import Pattern, gather, similar
+from keymint.keymake.gather import gather, similar
 from keymint_ros2_dds.lowering.lowered_rules import DEFAULT, EVERY, GrantRule, Partitions, is_name, with_leading_allow
 from keymint_ros2_dds.lowering.name_mapping import TopicAction
 
@@ -61,10 +61,11 @@ def gathered_rules(rules: Sequence[GrantRule[str]], *, min_saved: int | None = N
             names = [text for text in topics.get(action, ()) if text in movable]
             sets = [pattern for pattern in gather(names) if any(len(members) > 1 for members in pattern)]
             if sets:
-                members = _expanded(sets)
+                members = {"".join(letters) for pattern in sets for letters in product(*pattern)}
                 topics[action] = tuple(text for text in topics[action] if text not in members)
                 texts = gathered_topics.setdefault(rule.partitions, {})
-                texts[action] = (*texts.get(action, ()), *map(_expression, sets))
+                written = ("".join(each if len(each) == 1 else f"[{each}]" for each in pattern) for pattern in sets)
+                texts[action] = (*texts.get(action, ()), *written)
         kept = {action: texts for action, texts in topics.items() if texts}
         if kept or not rule.topics:
             remaining.append(GrantRule(rule.effect, rule.partitions, kept))
@@ -104,14 +105,6 @@ def _named_once(rules: Sequence[GrantRule[str]]) -> frozenset[str]:
         and "]" not in text
         and not any(matches(text) for other, matchers in wild.items() if other != number for matches in matchers)
     )
-
-
-def _expanded(patterns: Iterable[Pattern]) -> frozenset[str]:
-    return frozenset("".join(letters) for pattern in patterns for letters in product(*pattern))
-
-
-def _expression(pattern: Pattern) -> str:
-    return "".join(members if len(members) == 1 else f"[{members}]" for members in pattern)
 
 
 def _most_saved(rules: Iterable[GrantRule[str]]) -> int:

@@ -29,7 +29,7 @@ from comarmor.rules import Effect
 from comarmor.values import dataclass
 from keymint.ir import Rule
 from keymint.keymake.order import Arrangement, arrange, early_rules
-from keymint_ros2_dds.compiling.partitions import Step, UnportableError, decision_list, touches, uniform
+from keymint_ros2_dds.compiling.partitions import Step, UnportableError, decision_list, remaining, uniform
 from keymint_ros2_dds.lowering.lowered_rules import DEFAULT, EVERY, GrantRule, Lowered, Partitions, with_leading_allow
 from keymint_ros2_dds.lowering.name_mapping import TopicAction
 
@@ -50,12 +50,6 @@ class RuleGroup:
     partitions: Partitions
     arrangement: Arrangement | None
 
-    @property
-    def denied(self) -> tuple[Glob, ...]:
-        """The patterns that are denied."""
-        denials = (rule for rule in self.ordered if rule.effect is Effect.DENY)
-        return tuple(pattern for rule in denials for pattern in rule.every_topic())
-
 
 def rule_groups(
     action: TopicAction, allow: Sequence[Step], deny: Sequence[Step], *, reduced: bool = True
@@ -75,7 +69,8 @@ def rule_groups(
         return [_simple(action, allow, deny, DEFAULT, reduced=reduced)]
     detailed: list[RuleGroup] = []
     simple: dict[Partitions, tuple[list[Step], list[Step]]] = {}
-    for allowed, denied in _components(sorted(allow, key=_sort_key), sorted(deny, key=_sort_key)):
+    in_order = (sorted(steps, key=lambda step: (sort_key(step[0]), step[1])) for steps in (allow, deny))
+    for allowed, denied in _components(*in_order):
         try:
             shared = uniform(allowed, denied)
         except ValueError:  # a name is denied in every partition; the detailed list says where
@@ -91,14 +86,10 @@ def rule_groups(
     return [*(_simple(action, *simple[shared], shared, reduced=reduced) for shared in sorted(simple)), *detailed]
 
 
-def _sort_key(step: Step) -> tuple[str, Partitions]:
-    return sort_key(step[0]), step[1]
-
-
 def _simple(
     action: TopicAction, allow: Iterable[Step], deny: Iterable[Step], shared: Partitions, *, reduced: bool
 ) -> RuleGroup:
-    denied = (pattern for pattern, partitions in deny if touches(shared, partitions))
+    denied = (pattern for pattern, partitions in deny if not remaining(shared, partitions))
     order = arrange((pattern for pattern, _ in allow), dict.fromkeys(denied), reduced=reduced)
     free = (GrantRule(Effect.ALLOW, shared, {action: order.free}),) if order.free else ()
     ordered: tuple[GrantRule[Glob], ...] = ()
@@ -129,15 +120,12 @@ def _components(allow: Sequence[Step], deny: Sequence[Step]) -> Iterator[tuple[l
         if item[0] in literals and all(disjoint(item[0], other) for other in wild):
             separate.setdefault(item[0], []).append(item)
         else:
-            joined = [group for group in groups if any(_joined(item[0], other, narrowed) for other, _ in group)]
+            near = [item[0], *(pattern for pattern in narrowed if not disjoint(item[0], pattern))]
+            joined = [group for group in groups if any(not disjoint(each, p) for p, _ in group for each in near)]
             groups = [group for group in groups if group not in joined]
             groups.append([item, *(each for group in joined for each in group)])
     for group in (*separate.values(), *groups):
         yield group, [(d, partitions) for d, partitions in deny if any(not disjoint(d, p) for p, _ in group)]
-
-
-def _joined(left: Glob, right: Glob, narrowed: Iterable[Glob]) -> bool:
-    return not disjoint(left, right) or any(not disjoint(left, d) and not disjoint(right, d) for d in narrowed)
 
 
 def _rules(action: TopicAction, steps: Iterable[Step]) -> Iterator[GrantRule[Glob]]:
@@ -218,7 +206,7 @@ def _both_directions(groups: _Groups) -> list[GrantRule[Glob]]:
     known: dict[TopicAction, list[_Early]] = {}
     for action in (subscribe, publish):
         try:
-            known[action] = _early(action, groups)
+            known[action] = _early(action, groups, free)
         except UnportableError as error:
             refused = error
     for order, early_actions in orders:
@@ -232,28 +220,30 @@ def _both_directions(groups: _Groups) -> list[GrantRule[Glob]]:
             candidates.append([*_first(free, early), *rest])
     if not candidates and refused:
         raise refused
-    return min(candidates, key=_cost)
+    # By approximate size, where a rule counts as two patterns.
+    return min(candidates, key=lambda rules: sum(2 + sum(map(len, rule.topics.values())) for rule in rules))
 
 
-def _cost(rules: Iterable[GrantRule[Glob]]) -> int:
-    """Return the approximate size of rules: a rule counts as two patterns."""
-    return sum(2 + sum(map(len, rule.topics.values())) for rule in rules)
-
-
-def _early(action: TopicAction, groups: _Groups) -> list[_Early]:
+def _early(action: TopicAction, groups: _Groups, free: Iterable[GrantRule[Glob]]) -> list[_Early]:
     """Return the patterns that one direction must allow before the denials of the other direction.
+
+    Args:
+        action: what the direction is about.
+        groups: the groups of both directions.
+        free: the rules that no denial overlaps, which come first.
 
     Raises:
         UnportableError: there are no such rules.
     """
     other = TopicAction.SUBSCRIBE if action is TopicAction.PUBLISH else TopicAction.PUBLISH
-    denied = [pattern for group in groups[other] for pattern in group.denied]
+    denials = (rule for group in groups[other] for rule in group.ordered if rule.effect is Effect.DENY)
+    denied = [pattern for rule in denials for pattern in rule.every_topic()]
     result: list[_Early] = []
     for group in groups[action]:
         try:
             if group.arrangement:
                 result.append((action, group, early_rules(denied, group.arrangement)))
-            elif clash := _clash(denied, action, group, _free_patterns(groups)):
+            elif clash := _clash(denied, action, group, free):
                 reason = (
                     "it is denied in one direction, allowed in the other, and narrowed to several lists of partitions: "
                     "Cyclone DDS up to 0.10 lets the denial decide for both directions"
@@ -265,14 +255,11 @@ def _early(action: TopicAction, groups: _Groups) -> list[_Early]:
     return result
 
 
-def _free_patterns(groups: _Groups) -> list[Glob]:
-    rules = (rule for action in groups for group in groups[action] for rule in group.free)
-    return [pattern for rule in rules for pattern in rule.every_topic()]
-
-
-def _clash(denied: Iterable[Glob], action: TopicAction, group: RuleGroup, earlier: Iterable[Glob]) -> Glob | None:
+def _clash(
+    denied: Iterable[Glob], action: TopicAction, group: RuleGroup, earlier: Iterable[GrantRule[Glob]]
+) -> Glob | None:
     """Return a denied pattern if a detailed list allows some of its names that no earlier rule names; else None."""
-    named = list(earlier)
+    named = [pattern for rule in earlier for pattern in rule.every_topic()]
     for rule in group.ordered:
         patterns = rule.topics[action]
         if rule.effect is Effect.DENY:

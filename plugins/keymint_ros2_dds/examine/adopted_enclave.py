@@ -20,20 +20,9 @@ from keymint.errors import KeymintError
 from keymint.names import name_of, package_name
 from keymint.pki import certificates, examine, keys
 from keymint.pki.distinguished_names import MAX_COMMON_NAME, attributes, to_text
+from keymint_ros2_dds import enclave_layout as layout
 from keymint_ros2_dds.decision.semantics import STANDARD
 from keymint_ros2_dds.domains import merged_domains
-from keymint_ros2_dds.enclave_layout import (
-    CA,
-    CERTIFICATE,
-    GOVERNANCE,
-    GOVERNANCE_P7S,
-    GOVERNANCE_XML,
-    IDENTITY_ROLE,
-    KEY,
-    PERMISSIONS,
-    PERMISSIONS_P7S,
-    PERMISSIONS_XML,
-)
 from keymint_ros2_dds.examine.enclave_rules import AUTHORITY_FILES, EnclaveRules
 from keymint_ros2_dds.keystores.keystore_contents import Contents, EnclavePlace
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, as_ranges
@@ -101,17 +90,13 @@ class _Enclave(EnclaveRules):
 
     def __init__(self, contents: Contents, place: EnclavePlace) -> None:
         files = {name: contents.read(path) for name, path in place.files.items()}
-        chains = {role: files.get(name) or files.get(CA, b"") for role, name in AUTHORITY_FILES.items()}
+        chains = {role: files.get(name) or files.get(layout.CA, b"") for role, name in AUTHORITY_FILES.items()}
         restore = "restore it, or make it again with the tool that made the keystore"
         super().__init__(files, place.place, restore, place.subject, chains)
         self._contents = contents
         self._enclave = place
-        self._needed = [
-            CERTIFICATE,
-            *(() if CA in files else AUTHORITY_FILES.values()),
-            PERMISSIONS_P7S,
-            GOVERNANCE_P7S,
-        ]
+        authorities = () if layout.CA in files else AUTHORITY_FILES.values()
+        self._needed = [layout.CERTIFICATE, *authorities, layout.PERMISSIONS_P7S, layout.GOVERNANCE_P7S]
 
     def _where(self, name: str) -> Origin:
         return self._contents.place(self._enclave.files.get(name) or f"{self._folder}/{name}")
@@ -122,7 +107,7 @@ class _Enclave(EnclaveRules):
         """Yield what the rules of every enclave find, as ``keymint check`` says it."""
         when = self._contents.keystore.now, timedelta(0)
         yield from self.trust(TrustAnchors(anchors, "", ""), self._needed)
-        yield from self.encoding(CERTIFICATE)
+        yield from self.encoding(layout.CERTIFICATE)
         yield from self.name()
         yield from self.periods(when)
         yield from (*self.permissions.defects, *self.governance.defects)
@@ -149,11 +134,13 @@ class _Enclave(EnclaveRules):
             yield self._contents.error("adopt-path", self._folder, message, "give the enclave another path")
         if self.certificate is not None:
             yield from self._common_name(to_text(self.certificate.subject))
-        if KEY not in self._files:
+        if layout.KEY not in self._files:
             message = "is not here: the enclave is taken over without it, and gets no other one"
-            yield Diagnostic.note("adopt-key-elsewhere", message, self._where(KEY), "nothing, if the robot has it")
+            yield Diagnostic.note(
+                "adopt-key-elsewhere", message, self._where(layout.KEY), "nothing, if the robot has it"
+            )
         elif self._key_state() != "unknown":
-            yield from exposure(self._contents, self._enclave.files[KEY], self._subject)
+            yield from exposure(self._contents, self._enclave.files[layout.KEY], self._subject)
         if grant := self._only_grant():
             yield from self._of_grant(grant)
 
@@ -162,25 +149,27 @@ class _Enclave(EnclaveRules):
         if longest > MAX_COMMON_NAME:
             message = f"has a common name of {longest} characters; X.509 allows {MAX_COMMON_NAME}"
             help_ = "give the enclave a shorter path with the tool that made it; Keymint cannot issue this name again"
-            yield self._error("adopt-name-length", CERTIFICATE, message, help_)
+            yield self._error("adopt-name-length", layout.CERTIFICATE, message, help_)
         elif subject_name == "CN=/":
             message = (
                 "is the root enclave with the name 'CN=/' alone, which on Cyclone DDS can use all other permissions"
             )
             help_ = "it stays as it is; a second RDN in its name mends it afterwards: 'keymint harden names'"
-            yield self._warning("adopt-root", CERTIFICATE, message, help_)
+            yield self._warning("adopt-root", layout.CERTIFICATE, message, help_)
         elif not self._subject:
             message = f"is for {subject_name!r}, whose common name is no name of a subject"
             help_ = "put its files into a folder enclaves/<path>/ with the names that ROS 2 reads"
-            yield self._error("adopt-name", CERTIFICATE, message, help_)
+            yield self._error("adopt-name", layout.CERTIFICATE, message, help_)
         elif not self._is_named_like_path():
             message = f"is for {subject_name!r}, but the path of its enclave is {self._subject}"
-            yield self._warning("adopt-name", CERTIFICATE, message, "nothing: the name stays as it is")
+            yield self._warning("adopt-name", layout.CERTIFICATE, message, "nothing: the name stays as it is")
 
     def _of_grant(self, grant: DocumentGrant) -> Iterator[Diagnostic]:
         if grant.rules and not self._domains():
             message = "has rules for different domains, and a package has the same domains in all of its rules"
-            yield self._error("adopt-domains", PERMISSIONS_P7S, message, "sign a document whose rules have the same")
+            yield self._error(
+                "adopt-domains", layout.PERMISSIONS_P7S, message, "sign a document whose rules have the same"
+            )
         allowed = {
             (criteria.action, topic)
             for rule in grant.rules
@@ -192,7 +181,7 @@ class _Enclave(EnclaveRules):
             shown = ", ".join(f"{action} {topic}" for action, topic in sorted(allowed))
             message = f"allows all of a kind of topics: {shown}"
             help_ = "write a policy for it: 'ros2 security create_enclave' resets an existing enclave to this"
-            yield self._warning("adopt-allows-all", PERMISSIONS_P7S, message, help_)
+            yield self._warning("adopt-allows-all", layout.PERMISSIONS_P7S, message, help_)
 
     # -- facts ---------------------------------------------------------------------------------------------------
 
@@ -202,12 +191,12 @@ class _Enclave(EnclaveRules):
 
     def _is_named_like_path(self) -> bool:
         """Tell whether the name of the certificate is the path, or the path is made of it."""
-        by_content = self._enclave.files.get(CERTIFICATE) == self._folder and bool(self._subject)
+        by_content = self._enclave.files.get(layout.CERTIFICATE) == self._folder and bool(self._subject)
         return self.certificate is not None and (by_content or self._common_names() == [self._subject])
 
     def _key_state(self) -> str:
         """Return whether the private key is that of the certificate, as a report says it."""
-        if KEY not in self._files:
+        if layout.KEY not in self._files:
             return "elsewhere"
         own, _ = self.own_key
         if own is None or self.certificate is None:
@@ -231,16 +220,16 @@ class _Enclave(EnclaveRules):
         """Return what the enclave has."""
         certificate, has_key, grant = self.certificate, self._key_state() == "matches", self._only_grant()
         permissions, governance = self.permissions.signed, self.governance.signed if self.governance.document else None
-        signed, rights = {PERMISSIONS_XML: permissions, GOVERNANCE_XML: governance}, None
+        signed, rights = {layout.PERMISSIONS_XML: permissions, layout.GOVERNANCE_XML: governance}, None
         if grant and permissions:
-            place = self._where(PERMISSIONS_P7S).file, permissions.lines_before
+            place = self._where(layout.PERMISSIONS_P7S).file, permissions.lines_before
             rights = FoundGrant(permissions.content, *place, grant.subject_name)
         period = STANDARD.period(grant) if grant else None
         return FoundEnclave(
             subject=self._subject,
             files=self._enclave.files,
-            certificate=self._files.get(CERTIFICATE, b""),
-            key=self._files[KEY] if has_key else b"",
+            certificate=self._files.get(layout.CERTIFICATE, b""),
+            key=self._files[layout.KEY] if has_key else b"",
             key_spec=keys.kind_of(certificates.public_key(certificate)) if certificate else None,
             subject_name=to_text(certificate.subject) if certificate else "",
             validity=Validity(*certificates.period(certificate)) if certificate else None,
@@ -249,14 +238,14 @@ class _Enclave(EnclaveRules):
             documents={name: each.content for name, each in signed.items() if each},
             grant=rights,
             facts=self._facts(),
-            exposed=has_key and is_exposed(self._contents, self._enclave.files[KEY]),
+            exposed=has_key and is_exposed(self._contents, self._enclave.files[layout.KEY]),
         )
 
     def _facts(self) -> dict[str, Any]:
         """Return what a report says; values are those of JSON."""
-        certificate, issuer = self.certificate, self._chains[IDENTITY_ROLE]
+        certificate, issuer = self.certificate, self._chains[layout.IDENTITY_ROLE]
         files = {name: self._contents.keystore.files[path] for name, path in sorted(self._enclave.files.items())}
-        signed, plain = self.permissions.signed, self._files.get(PERMISSIONS_XML)
+        signed, plain = self.permissions.signed, self._files.get(layout.PERMISSIONS_XML)
         governance = self.governance.document.domain_rules if self.governance.document else ()
         governed = as_ranges(each for rule in governance for each in rule.domains)
         return {
@@ -264,12 +253,16 @@ class _Enclave(EnclaveRules):
             "links": sum(bool(file.link) for file in files.values()),
             "modes": {name: f"{file.mode:04o}" for name, file in files.items() if not file.link},
             "missing": [name for name in self._needed if name not in self._files],
-            "chain": bool(certificate and issuer) and not examine.verify_chain(self._files[CERTIFICATE], issuer, None),
+            "chain": bool(certificate and issuer)
+            and not examine.verify_chain(self._files[layout.CERTIFICATE], issuer, None),
             "subject_name": to_text(certificate.subject) if certificate else "",
             "named_like_path": self._is_named_like_path(),
             **({"certificate": dates_of(certificate)} if certificate else {}),
             "key": self._key_state(),
-            "signatures": {PERMISSIONS: signed is not None, GOVERNANCE: self.governance.signed is not None},
+            "signatures": {
+                layout.PERMISSIONS: signed is not None,
+                layout.GOVERNANCE: self.governance.signed is not None,
+            },
             "same_text": plain == signed.content if plain and signed else None,
             "grants": [
                 {"subject_name": each.subject_name, "not_before": each.not_before, "not_after": each.not_after}

@@ -21,27 +21,16 @@ from keymint.errors import KeymintError
 from keymint.pki import certificates, extensions, foreign_authorities, keys, revocation_lists
 from keymint.pki.distinguished_names import to_text
 from keymint.pki.revocation_lists import RevocationList
-from keymint_ros2_dds.enclave_layout import (
-    CA,
-    CRL,
-    GOVERNANCE,
-    GOVERNANCE_P7S,
-    GOVERNANCE_XML,
-    IDENTITY_ROLE,
-    KEY,
-    LAYOUTS,
-    PERMISSIONS_ROLE,
-    files,
-)
+from keymint_ros2_dds import enclave_layout as layout
 from keymint_ros2_dds.examine.adopted_enclave import dates_of, examine_enclave, exposure, is_exposed
 from keymint_ros2_dds.examine.enclave_rules import AUTHORITY_FILES
 from keymint_ros2_dds.keystores import foreign_documents
 from keymint_ros2_dds.keystores.keystore_contents import FORMS, Contents, EnclavePlace, contents, places
 
-_READ = frozenset(name for layout in LAYOUTS for name in files(layout))
+_READ = frozenset(name for form in layout.LAYOUTS for name in layout.files(form))
 """Names of the files that participants read."""
 _REVOCATIONS = "adopt-revocations"
-_NAMES = {IDENTITY_ROLE: "identity_ca", PERMISSIONS_ROLE: "permissions_ca"}
+_NAMES = {layout.IDENTITY_ROLE: "identity_ca", layout.PERMISSIONS_ROLE: "permissions_ca"}
 BOTH = "ca"
 """Name of an authority that has both roles."""
 
@@ -53,12 +42,12 @@ def examine_keystore(keystore: KeystoreFiles) -> FoundKeystore:
         KeymintError: it has no enclave.
     """
     content = contents(keystore)
-    layout, found, kept = places(content)
+    form, found, kept = places(content)
     trusted, diagnostics = _authorities(content, found)
-    issuer = next((each for each in trusted if IDENTITY_ROLE in each.roles), None)
-    newest, of_lists = _newest_list(content, layout, found, issuer) if issuer else ("", [])
+    issuer = next((each for each in trusted if layout.IDENTITY_ROLE in each.roles), None)
+    newest, of_lists = _newest_list(content, form, found, issuer) if issuer else ("", [])
     diagnostics += of_lists
-    listed = {CRL: newest} if newest and not layout else {}
+    listed = {layout.CRL: newest} if newest and not form else {}
     anchors = {
         role: TrustAnchor(each.name, str(content.place(each.file)), each.certificate)
         for each in trusted
@@ -75,8 +64,8 @@ def examine_keystore(keystore: KeystoreFiles) -> FoundKeystore:
     secrets = {content.read(path) for each in trusted for path in each.key_files}
     diagnostics += _in_the_way(content, found, kept, secrets)
     return FoundKeystore(
-        form=FORMS[layout],
-        layout=layout,
+        form=FORMS[form],
+        layout=form,
         subject_format="sros2" if all(each.subject_name == f"CN={each.subject}" for each in enclaves) else "",
         authorities=trusted,
         enclaves=tuple(enclaves),
@@ -91,18 +80,18 @@ def _defaults(
     content: Contents, enclaves: Sequence[FoundEnclave], trusted: Sequence[FoundAuthority]
 ) -> tuple[Mapping[str, bytes], list[Diagnostic]]:
     """Return the governance as the source of all packages, and why it cannot become that."""
-    governed = [each for each in enclaves if GOVERNANCE_XML in each.documents]
-    signer = next((each.name for each in trusted if PERMISSIONS_ROLE in each.roles), "")
+    governed = [each for each in enclaves if layout.GOVERNANCE_XML in each.documents]
+    signer = next((each.name for each in trusted if layout.PERMISSIONS_ROLE in each.roles), "")
     if not governed or not signer:
         return {}, []
     findings = []
-    first, document = governed[0], governed[0].documents[GOVERNANCE_XML]
-    path = first.files[GOVERNANCE_P7S]
+    first, document = governed[0], governed[0].documents[layout.GOVERNANCE_XML]
+    path = first.files[layout.GOVERNANCE_P7S]
     for other in governed:
-        if not foreign_documents.is_same(document, other.documents[GOVERNANCE_XML]):
+        if not foreign_documents.is_same(document, other.documents[layout.GOVERNANCE_XML]):
             message = f"protects other topics or domains than the governance of {first.subject}, {content.place(path)}"
             help_ = "all participants of a domain need the same: adopt these enclaves as a keystore of their own"
-            own = other.files[GOVERNANCE_P7S]
+            own = other.files[layout.GOVERNANCE_P7S]
             findings.append(content.error("adopt-governance", own, message, help_, other.subject))
     made = foreign_documents.governance_source(document, signer)
     if made is None:
@@ -110,7 +99,7 @@ def _defaults(
         help_ = "sign a governance with one domain rule, which may have several domains"
         findings.append(content.error("adopt-governance", path, message, help_))
         return {}, findings
-    return {GOVERNANCE: made}, findings
+    return {layout.GOVERNANCE: made}, findings
 
 
 def _in_the_way(
@@ -124,7 +113,7 @@ def _in_the_way(
         kept: the files that an install space has at the same place.
         secrets: the files with an authority's private key.
     """
-    own = {enclave.files[KEY] for enclave in enclaves if KEY in enclave.files}
+    own = {enclave.files[layout.KEY] for enclave in enclaves if layout.KEY in enclave.files}
     needed = {path: each for each in enclaves for name, path in each.files.items() if name in _READ}
     for path, enclave in needed.items():
         if content.read(path) in secrets:
@@ -171,7 +160,7 @@ def _authorities(
     trusted: dict[str, str] = {}
     for role, name in AUTHORITY_FILES.items():
         for enclave in enclaves:
-            if path := enclave.files.get(name) or enclave.files.get(CA):
+            if path := enclave.files.get(name) or enclave.files.get(layout.CA):
                 trusted.setdefault(role, path)
     by_content: dict[bytes, list[str]] = {}
     for role, path in trusted.items():
@@ -263,17 +252,17 @@ def _lacking(
 
 
 def _newest_list(
-    contents: Contents, layout: str, enclaves: Sequence[EnclavePlace], issuer: FoundAuthority
+    contents: Contents, form: str, enclaves: Sequence[EnclavePlace], issuer: FoundAuthority
 ) -> tuple[str, list[Diagnostic]]:
     """Return the path of the revocation list in force, empty if there is none, and the findings on all lists.
 
     Args:
         contents: what the files of the keystore contain.
-        layout: the layout of the keystore.
+        form: the layout of the keystore, empty if it has none.
         enclaves: where the files of its enclaves are.
         issuer: the authority of identities.
     """
-    used = {enclave.files[CRL] for enclave in enclaves if CRL in enclave.files}
+    used = {enclave.files[layout.CRL] for enclave in enclaves if layout.CRL in enclave.files}
     authority = certificates.load(issuer.certificate)
     lists: dict[str, RevocationList] = {}
     findings: list[Diagnostic] = []
@@ -293,32 +282,30 @@ def _newest_list(
             findings.append(contents.error(_REVOCATIONS, path, message, help_))
     newest = max(lists, key=lambda each: (lists[each].number, lists[each].this_update), default="")
     if newest:
-        findings += _lost(contents, newest, lists)
+        known = {each.serial for each in lists[newest].revocations}
+        for path, other in lists.items():
+            if lost := [each.serial for each in other.revocations if each.serial not in known]:
+                message = f"does not revoke all that {contents.place(path)} revokes, e.g. the serial number {lost[0]:x}"
+                help_ = (
+                    "issue a list with all of it; or remove the older one, if these certificates may be accepted again"
+                )
+                findings.append(contents.error(_REVOCATIONS, newest, message, help_))
         count = quantity(len(lists[newest].revocations), "certificate")
-        if layout == "sros2":
+        if form == "sros2":
             findings += _elsewhere(contents, newest, enclaves, count)
         findings.append(contents.note(_REVOCATIONS, newest, f"revokes {count}, which stay revoked", "nothing"))
     return newest, findings
 
 
-def _lost(contents: Contents, newest: str, lists: Mapping[str, RevocationList]) -> Iterator[Diagnostic]:
-    known = {each.serial for each in lists[newest].revocations}
-    for path, other in lists.items():
-        if lost := [each.serial for each in other.revocations if each.serial not in known]:
-            message = f"does not revoke all that {contents.place(path)} revokes, e.g. the serial number {lost[0]:x}"
-            help_ = "issue a list with all of it; or remove the older one, if these certificates may be accepted again"
-            yield contents.error(_REVOCATIONS, newest, message, help_)
-
-
 def _elsewhere(contents: Contents, newest: str, enclaves: Sequence[EnclavePlace], count: str) -> Iterator[Diagnostic]:
     """Yield an error for each enclave that has another list, or none: the next installation would change it."""
     for enclave in enclaves:
-        path = enclave.files.get(CRL)
+        path = enclave.files.get(layout.CRL)
         if path is None or contents.read(path) != contents.read(newest):
             message = (
                 f"{'is missing' if path is None else 'is another list'}, and {contents.place(newest)}, the newest one, "
                 f"revokes {count}"
             )
             help_ = "copy the newest one there, here and on the robot; or leave all lists out, if nothing is revoked"
-            own = path or f"{enclave.place}/{CRL}"
+            own = path or f"{enclave.place}/{layout.CRL}"
             yield contents.error(_REVOCATIONS, own, message, help_, enclave.subject)

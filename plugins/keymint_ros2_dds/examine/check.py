@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from datetime import timedelta
 
@@ -14,22 +15,10 @@ from comarmor.patterns.tokens import PatternError
 from keymint.api import Inspection
 from keymint.errors import KeymintError
 from keymint.pki import certificates, distinguished_names, smime
-from keymint_ros2_dds import enclave_layout as roles
+from keymint_ros2_dds import enclave_layout as layout
 from keymint_ros2_dds import governance_warnings, vendor_limits
 from keymint_ros2_dds.decision.semantics import STANDARD
 from keymint_ros2_dds.documents import dds_xml
-from keymint_ros2_dds.enclave_layout import (
-    CERTIFICATE,
-    GOVERNANCE,
-    GOVERNANCE_P7S,
-    KEY,
-    KEY_URI,
-    PERMISSIONS,
-    PERMISSIONS_P7S,
-    PERMISSIONS_XML,
-    enclave_files,
-    has_one_authority,
-)
 from keymint_ros2_dds.examine.enclave_rules import Document, EnclaveRules, SignedFact
 from keymint_ros2_dds.keystores.foreign_documents import not_kept
 from keymint_ros2_dds.proving.enclave_governance import STRICT, EnclaveGovernance, Weaker, cuts, weaker
@@ -63,57 +52,52 @@ class _InstalledEnclave(EnclaveRules):
     def findings(self) -> Iterator[Diagnostic]:
         inspection = self._inspection
         when = inspection.now, timedelta(days=inspection.within_days)
-        names = enclave_files(inspection.layout, inspection.package.distro)
-        elsewhere = [KEY] if inspection.package.issuance.public_key else []
+        names = layout.enclave_files(inspection.layout, inspection.package.distro)
+        elsewhere = [layout.KEY] if inspection.package.issuance.public_key else []
         yield from self._key_uri()
         yield from self.inventory(name for name in names if name not in elsewhere)
-        for name in (CERTIFICATE, KEY):
-            yield from map(self._of_another_tool, self.encoding(name))
+        for altered in (*self.encoding(layout.CERTIFICATE), *self.encoding(layout.KEY)):
+            kept = replace(altered, severity=Severity.NOTE, help="another tool wrote it, and it is kept as it is")
+            yield kept if inspection.package.issuance.certificate else altered
         yield from self.name()
         yield from self.periods(when)
-        yield from self._document(PERMISSIONS, self.permissions)
-        yield from self._document(GOVERNANCE, self.governance)
+        yield from self._document(layout.PERMISSIONS, self.permissions)
+        yield from self._document(layout.GOVERNANCE, self.governance)
         yield from self.documents(self.permissions.sound, self.governance.sound, when)
         if self.governance.sound:
             yield from self._governance()
-        if PERMISSIONS_XML in names:
-            yield from self.plain_text(self._unverified())
+        if layout.PERMISSIONS_XML in names:
+            signed = None
+            with suppress(KeymintError):
+                signed = smime.signed_content(self._files.get(layout.PERMISSIONS_P7S, b""))
+            yield from self.plain_text(signed)
 
     def _key_uri(self) -> Iterator[Diagnostic]:
         uri = self._inspection.package.identity.key.uri
-        if uri and not vendor_limits.is_key_uri(self._files.get(KEY_URI), uri):
-            problem = "is not the URI of the sources" if KEY_URI in self._files else "is missing"
-            yield self._error("key-uri", KEY_URI, problem)
-        elif not uri and KEY_URI in self._files:
-            message = f"replaces {KEY} where Fast DDS runs, although the key of the sources lies in a file"
-            yield self._error("key-uri", KEY_URI, message, "remove it")
-
-    def _of_another_tool(self, altered: Diagnostic) -> Diagnostic:
-        """Return the finding on a file in another form than Keymint writes; other tools write other forms."""
-        if not self._inspection.package.issuance.certificate:
-            return altered
-        return replace(altered, severity=Severity.NOTE, help="another tool wrote it, and it is kept as it is")
-
-    def _unverified(self) -> bytes | None:
-        try:
-            return smime.signed_content(self._files.get(PERMISSIONS_P7S, b""))
-        except KeymintError:
-            return None
+        if uri and not vendor_limits.is_key_uri(self._files.get(layout.KEY_URI), uri):
+            problem = "is not the URI of the sources" if layout.KEY_URI in self._files else "is missing"
+            yield self._error("key-uri", layout.KEY_URI, problem)
+        elif not uri and layout.KEY_URI in self._files:
+            message = f"replaces {layout.KEY} where Fast DDS runs, although the key of the sources lies in a file"
+            yield self._error("key-uri", layout.KEY_URI, message, "remove it")
 
     def _document(self, kind: str, fact: SignedFact[Document]) -> Iterator[Diagnostic]:
         """Yield what vendors cannot read of a signed document, and that it is not the one of the sources."""
         name, package = f"{kind}.p7s", self._inspection.package
         if fact.signed is None:
             return  # reported with the trust anchors
-        content = fact.signed.content
+        content, built = fact.signed.content, self._inspection.documents.get(f"{kind}.xml")
+        is_permissions = kind == layout.PERMISSIONS
         yield from map(self._for_subject, vendor_limits.check_size(len(self._files[name]), kind, package))
-        if not self._as_built(kind, content):
+        # Permissions may have any form with the same meaning. What vendors read differently is a proof's to find.
+        may_differ = is_permissions and built is not None
+        if content != built and (not may_differ or not_kept(package, layout.PERMISSIONS_XML, content)):
             message = f"the sources build another {kind} document: they changed, or the built one was edited by hand"
             again = f"'keymint build -f {package.name}' and 'keymint install {package.name}'"
             yield self._warning("drift", name, message, f"{again} write the document of the sources")
         yield from fact.defects
         # What Keymint writes is known to have none.
-        plain = kind == PERMISSIONS and signed_permissions.is_plain(content)
+        plain = is_permissions and signed_permissions.is_plain(content)
         for hazard in () if plain or not fact.sound else dds_xml.hazards(content):
             yield self._warning("document-hazard", name, hazard, f"build it instead of editing it; {self._restore}")
 
@@ -124,7 +108,7 @@ class _InstalledEnclave(EnclaveRules):
             if finding.severity is Severity.WARNING and finding.code != governance_warnings.UNPROTECTED:
                 yield finding
         if signed := self.governance.signed:
-            place = self._where(GOVERNANCE_P7S).file, signed.lines_before
+            place = self._where(layout.GOVERNANCE_P7S).file, signed.lines_before
             governing = EnclaveGovernance(signed.content, place, package)
             if governing.differs:
                 yield from dict.fromkeys(self._weaker_protection(governing))
@@ -155,18 +139,6 @@ class _InstalledEnclave(EnclaveRules):
                     message = f"whether it protects as much as the sources is unknown: {result.reason}"
                     yield finding("governance-unknown", message, rule.line)
 
-    def _as_built(self, kind: str, content: bytes) -> bool:
-        """Tell whether a document is what the sources build, for permissions in any form with the same meaning.
-
-        What vendors read differently is a proof's to find.
-        """
-        built = self._inspection.documents.get(f"{kind}.xml")
-        if content == built:
-            return True
-        if kind != PERMISSIONS or built is None:
-            return False
-        return not not_kept(self._inspection.package, PERMISSIONS_XML, content)
-
 
 def _shared_grants(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:
     """Yield a finding for each identity that may use the permissions of another one on Cyclone DDS.
@@ -185,13 +157,13 @@ def _shared_grants(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:
             yield Diagnostic.warning(
                 "names-confused",
                 f"on Cyclone DDS the identity {name!r} can use the permissions of {granted}",
-                Origin(f"{inspection.folder}/{CERTIFICATE}"),
+                Origin(f"{inspection.folder}/{layout.CERTIFICATE}"),
                 "give each subject_name an RDN that no other has, e.g. OU={unique}", inspection.package.subject,
             )  # fmt: skip
 
 
 def _subject(inspection: Inspection) -> str:
-    certificate = certificates.certificate_in(inspection.files.get(CERTIFICATE))
+    certificate = certificates.certificate_in(inspection.files.get(layout.CERTIFICATE))
     return distinguished_names.to_text(certificate.subject) if certificate else ""
 
 
@@ -199,17 +171,17 @@ def _shared_authorities(inspections: Sequence[Inspection]) -> Iterator[Diagnosti
     """Yield one finding for each authority that both issues identities and signs permissions."""
     reported: set[bytes] = set()
     for inspection in inspections:
-        authority = inspection.chains[roles.PERMISSIONS_ROLE]
-        if authority and authority == inspection.chains[roles.IDENTITY_ROLE] and authority not in reported:
+        authority = inspection.chains[layout.PERMISSIONS_ROLE]
+        if authority and authority == inspection.chains[layout.IDENTITY_ROLE] and authority not in reported:
             reported.add(authority)
             # Where enclaves have no file for a second authority, the user cannot act on it.
-            one = has_one_authority(inspection.layout, inspection.package.distro)
+            one = layout.has_one_authority(inspection.layout, inspection.package.distro)
             severity = Severity.NOTE if one else Severity.WARNING
             yield Diagnostic(
                 "authority-shared", severity,
                 f"the authority {inspection.package.grant.issuer!r} issues identities and signs permissions: on "
                 "older releases of DDS implementations an identity can sign permissions for itself (CVE-2023-24010)",
-                Origin(f"{inspection.folder}/{CERTIFICATE}"),
+                Origin(f"{inspection.folder}/{layout.CERTIFICATE}"),
                 "use two authorities", inspection.package.subject,
             )  # fmt: skip
 
@@ -218,7 +190,7 @@ def _different_authorities(inspections: Sequence[Inspection]) -> Iterator[Diagno
     """Yield a finding for each enclave with another permissions authority; Fast DDS requires one for all."""
     for inspection in inspections[1:]:
         first = inspections[0]
-        if inspection.chains[roles.PERMISSIONS_ROLE] != first.chains[roles.PERMISSIONS_ROLE]:
+        if inspection.chains[layout.PERMISSIONS_ROLE] != first.chains[layout.PERMISSIONS_ROLE]:
             yield Diagnostic.warning(
                 "authorities-differ",
                 f"its permissions are signed by {inspection.package.grant.issuer!r}, those of "

@@ -20,33 +20,21 @@ from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, revocation_lists, smime
 from keymint.pki.examine import IdentityCheck, When, anchor_defects, utc_time
 from keymint.pki.smime import SignedDocument
-from keymint_ros2_dds import enclave_layout as roles
+from keymint_ros2_dds import enclave_layout as layout
 from keymint_ros2_dds import subject_names, vendor_limits
 from keymint_ros2_dds.decision.semantics import STANDARD
 from keymint_ros2_dds.domains import in_words, merged_domains, uncovered_domains
-from keymint_ros2_dds.enclave_layout import (
-    CA,
-    CERTIFICATE,
-    CRL,
-    GOVERNANCE_P7S,
-    IDENTITY_CA,
-    KEY,
-    KEY_URI,
-    PERMISSIONS_CA,
-    PERMISSIONS_P7S,
-    PERMISSIONS_XML,
-    enclave_files,
-)
 from keymint_ros2_dds.reading import signed_governance, signed_permissions
 from keymint_ros2_dds.reading.signed_governance import GovernanceDocument
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, PermissionsDocument, as_ranges
 
-IN_PLACE_OF = {f"{name.removesuffix('.pem')}.p11": name for name in (IDENTITY_CA, PERMISSIONS_CA, CERTIFICATE, KEY)}
+_REPLACEABLE = (layout.IDENTITY_CA, layout.PERMISSIONS_CA, layout.CERTIFICATE, layout.KEY)
+IN_PLACE_OF = {f"{name.removesuffix('.pem')}.p11": name for name in _REPLACEABLE}
 """A file with a PKCS #11 URI that ROS 2 reads in place of another one, where the vendor takes such URIs.
 
 Source: ``get_security_files`` in ``security.cpp`` of rmw_dds_common, from Jazzy on, as rmw_fastrtps calls it.
 """
-AUTHORITY_FILES = {roles.IDENTITY_ROLE: IDENTITY_CA, roles.PERMISSIONS_ROLE: PERMISSIONS_CA}
+AUTHORITY_FILES = {layout.IDENTITY_ROLE: layout.IDENTITY_CA, layout.PERMISSIONS_ROLE: layout.PERMISSIONS_CA}
 """The file of the authority that has a role; in the flat layout it may be one for both."""
 Document = TypeVar("Document", PermissionsDocument, GovernanceDocument)
 _SLACK = timedelta(days=1)
@@ -71,8 +59,8 @@ def differences(enclave: EnclaveFiles) -> tuple[Diagnostic, ...]:
     if missing := tuple(anchor_defects(anchors.authorities[role] for role in AUTHORITY_FILES)):
         return missing
     # Nobody but people read the unsigned permissions.
-    unneeded = {PERMISSIONS_XML, *([KEY] if anchors.public_key or anchors.key_uri else [])}
-    needed = [each for each in enclave_files(anchors.layout, anchors.distro) if each not in unneeded]
+    unneeded = {layout.PERMISSIONS_XML, *([layout.KEY] if anchors.public_key or anchors.key_uri else [])}
+    needed = [each for each in layout.enclave_files(anchors.layout, anchors.distro) if each not in unneeded]
     chains = {role: each.chain for role, each in anchors.authorities.items()}
     found = EnclaveRules(enclave.files, enclave.folder, "'keymint install' restores it", "", chains).trust(
         anchors, needed
@@ -124,16 +112,16 @@ class EnclaveRules(IdentityCheck):
     @cached_property
     def permissions(self) -> SignedFact[PermissionsDocument]:
         """The permissions."""
-        return self._signed(PERMISSIONS_P7S, signed_permissions.read)
+        return self._signed(layout.PERMISSIONS_P7S, signed_permissions.read)
 
     @cached_property
     def governance(self) -> SignedFact[GovernanceDocument]:
         """The governance."""
-        return self._signed(GOVERNANCE_P7S, signed_governance.read)
+        return self._signed(layout.GOVERNANCE_P7S, signed_governance.read)
 
     def _signed(self, name: str, reader: Callable[[bytes, str, int], Document]) -> SignedFact[Document]:
         try:
-            signed = smime.read(self._files.get(name, b""), self._chains[roles.PERMISSIONS_ROLE])
+            signed = smime.read(self._files.get(name, b""), self._chains[layout.PERMISSIONS_ROLE])
         except KeymintError:
             return SignedFact()  # reported with the authorities
         unread, file = Defects(), self._where(name).file
@@ -144,18 +132,18 @@ class EnclaveRules(IdentityCheck):
     @cached_property
     def _list_problem(self) -> str:
         """Why vendors refuse a participant with the revocation list, dates and what it revokes aside."""
-        if CRL not in self._files:
+        if layout.CRL not in self._files:
             return ""
         try:
-            issuer = certificates.load_bundle(self._chains[roles.IDENTITY_ROLE])[0]
+            issuer = certificates.load_bundle(self._chains[layout.IDENTITY_ROLE])[0]
         except KeymintError:
             return ""  # reported with the authorities
-        return revocation_lists.problem(self._files[CRL], issuer)
+        return revocation_lists.problem(self._files[layout.CRL], issuer)
 
     @cached_property
     def revocation(self) -> revocation_lists.Revocation | None:
         """The entry of the certificate in the list beside it, which its issuer signed."""
-        crl = revocation_lists.first(self._files.get(CRL, b""))
+        crl = revocation_lists.first(self._files.get(layout.CRL, b""))
         if crl is None or self.certificate is None or self._list_problem:
             return None
         return revocation_lists.entry(crl, self.certificate.serial_number)
@@ -169,27 +157,24 @@ class EnclaveRules(IdentityCheck):
             anchors: what the enclave must rest on; its certificate may have any name if they have none.
             needed: names of the files that it must have.
         """
-        yield from self._in_place_of(anchors.key_uri)
+        known = (
+            {layout.KEY_URI} if vendor_limits.is_key_uri(self._files.get(layout.KEY_URI), anchors.key_uri) else set()
+        )
+        for name in sorted(self._files.keys() & IN_PLACE_OF.keys() - known):
+            what = f"replaces {IN_PLACE_OF[name]} in ROS 2 Jazzy and later"
+            yield self._error("file-replaced", name, f"{what}, and Keymint cannot check what it refers to", "remove it")
         yield from self.inventory(needed)
         yield from self.revocation_list()
-        for role, name in (*AUTHORITY_FILES.items(), (roles.PERMISSIONS_ROLE, CA)):
+        for role, name in (*AUTHORITY_FILES.items(), (layout.PERMISSIONS_ROLE, layout.CA)):
             if role in anchors.authorities:  # also where the layout does not have the file
                 yield from self.anchored(name, anchors.authorities[role])
-        yield from self.identity(self._chains[roles.IDENTITY_ROLE], anchors)
-        unsigned, signer = Defects(), self._chains[roles.PERMISSIONS_ROLE]
-        for name in (PERMISSIONS_P7S, GOVERNANCE_P7S):
+        yield from self.identity(self._chains[layout.IDENTITY_ROLE], anchors)
+        unsigned, signer = Defects(), self._chains[layout.PERMISSIONS_ROLE]
+        for name in (layout.PERMISSIONS_P7S, layout.GOVERNANCE_P7S):
             if name in self._files and signer:
                 with unsigned:
                     smime.read(self._files[name], signer, where=self._where(name))
         yield from unsigned.found
-
-    def _in_place_of(self, key_uri: str) -> Iterator[Diagnostic]:
-        known = {KEY_URI} if vendor_limits.is_key_uri(self._files.get(KEY_URI), key_uri) else set()
-        for name in sorted(self._files.keys() & IN_PLACE_OF.keys() - known):
-            message = (
-                f"replaces {IN_PLACE_OF[name]} in ROS 2 Jazzy and later, and Keymint cannot check what it refers to"
-            )
-            yield self._error("file-replaced", name, message, "remove it")
 
     def revocation_list(self) -> Iterator[Diagnostic]:
         """Yield an error if vendors refuse a participant with the revocation list of the enclave, dates aside."""
@@ -199,15 +184,15 @@ class EnclaveRules(IdentityCheck):
             problem = f"revokes the certificate beside it, {when}"
         if problem:
             help_ = "remove it, or replace it with a list by the certificate's issuer"
-            yield self._error("revocation-list", CRL, f"{problem}: vendors refuse the participant", help_)
+            yield self._error("revocation-list", layout.CRL, f"{problem}: vendors refuse the participant", help_)
 
     # -- what it says --------------------------------------------------------------------------------------------
 
     def encoding(self, name: str) -> Iterator[Diagnostic]:
         """Yield an error if the certificate or the key is in another form than Keymint writes."""
-        is_canonical, what = {
-            CERTIFICATE: (certificates.is_canonical, "its certificate"), KEY: (keys.is_canonical, "a private key"),
-        }[name]  # fmt: skip
+        is_canonical, what = certificates.is_canonical, "its certificate"
+        if name == layout.KEY:
+            is_canonical, what = keys.is_canonical, "a private key"
         if name in self._files and self.certificate is not None and not is_canonical(self._files[name]):
             yield self._error("pem-altered", name, f"is not the canonical encoding of {what}")
 
@@ -215,13 +200,13 @@ class EnclaveRules(IdentityCheck):
         """Yield a warning if vendors confuse the name of the certificate with others."""
         if self.certificate is not None and (confused := subject_names.twice(self.certificate.subject)):
             help_ = "let its authority issue names with each attribute once, e.g. one CN and one OU"
-            yield self._warning("names-confused", CERTIFICATE, confused, help_)
+            yield self._warning("names-confused", layout.CERTIFICATE, confused, help_)
 
     def periods(self, when: When) -> Iterator[Diagnostic]:
         """Yield the findings on the dates of the certificate and of the revocation list."""
         yield from self.certificate_period(when, _DROPPED)
-        if period := revocation_lists.period_in(self._files.get(CRL, b"")):
-            yield from self._period("revocation list", CRL, period, when, "keymint crl --refresh", _NONE_STARTS)
+        if period := revocation_lists.period_in(self._files.get(layout.CRL, b"")):
+            yield from self._period("revocation list", layout.CRL, period, when, "keymint crl --refresh", _NONE_STARTS)
 
     def documents(
         self, permissions: PermissionsDocument | None, governance: GovernanceDocument | None, when: When
@@ -237,7 +222,7 @@ class EnclaveRules(IdentityCheck):
             return
         if len(permissions.grants) != 1:
             message = f"has {len(permissions.grants)} grants; vendors choose among several in different ways"
-            yield self._warning("grant-count", PERMISSIONS_P7S, message, "keep one grant")
+            yield self._warning("grant-count", layout.PERMISSIONS_P7S, message, "keep one grant")
         for grant in permissions.grants:
             yield from self._grant(grant, when)
         if governance is not None:
@@ -246,27 +231,29 @@ class EnclaveRules(IdentityCheck):
             if lacking := uncovered_domains(merged_domains(granted), governed):
                 message = f"grants in {in_words(lacking)}, but the governance is for {in_words(governed)}"
                 help_ = "add the domain to a domain rule of the governance"
-                yield self._error("domain-uncovered", PERMISSIONS_P7S, message, help_)
+                yield self._error("domain-uncovered", layout.PERMISSIONS_P7S, message, help_)
 
     def _grant(self, grant: DocumentGrant, when: When) -> Iterator[Diagnostic]:
         name = subject_names.of_any(self.certificate.subject) if self.certificate else grant.subject_name
         if grant.subject_name != name:
             message = f"grants to {grant.subject_name!r}, but the certificate is for {name!r}"
-            yield self._error("grant-subject", PERMISSIONS_P7S, message)
+            yield self._error("grant-subject", layout.PERMISSIONS_P7S, message)
         if grant.allows:
             message = "allows by default on Cyclone DDS and OpenDDS, and denies on Fast DDS"
-            yield self._error("grant-default", PERMISSIONS_P7S, message, "make the default DENY")
+            yield self._error("grant-default", layout.PERMISSIONS_P7S, message, "make the default DENY")
         if period := STANDARD.period(grant):
-            found = tuple(self._period("grant", PERMISSIONS_P7S, period, when, self._renew, _DROPPED))
+            found = tuple(self._period("grant", layout.PERMISSIONS_P7S, period, when, self._renew, _DROPPED))
             yield from found or self._in_slack(period, when[0])
         else:
             message = f"its dates are {grant.not_before!r} and {grant.not_after!r}, expected two xs:dateTime in order"
-            yield self._error("grant-never-valid", PERMISSIONS_P7S, message, "sign a document with valid dates")
+            yield self._error("grant-never-valid", layout.PERMISSIONS_P7S, message, "sign a document with valid dates")
 
     def plain_text(self, signed: bytes | None) -> Iterator[Diagnostic]:
         """Yield an error if the unsigned permissions are others than those that participants read."""
-        if self._files.get(PERMISSIONS_XML, signed) != signed:
-            yield self._error("document-differs", PERMISSIONS_XML, "is not the document that permissions.p7s signs")
+        if self._files.get(layout.PERMISSIONS_XML, signed) != signed:
+            yield self._error(
+                "document-differs", layout.PERMISSIONS_XML, "is not the document that permissions.p7s signs"
+            )
 
     def _in_slack(self, period: tuple[datetime, datetime], now: datetime) -> Iterator[Diagnostic]:
         """Yield a warning about dates of a grant that are in force here, but not in every time zone."""
@@ -278,4 +265,4 @@ class EnclaveRules(IdentityCheck):
             )
             is_renewable = now - _SLACK >= begin and end - begin > 2 * _SLACK
             help_ = f"'{self._renew}' issues it again, with later dates" if is_renewable else _UTC
-            yield self._warning("grant-slack", PERMISSIONS_P7S, message, help_)
+            yield self._warning("grant-slack", layout.PERMISSIONS_P7S, message, help_)

@@ -9,6 +9,7 @@ the standard reads it. Then nobody has to deploy anything.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from functools import lru_cache
 
 from lxml import etree
@@ -24,14 +25,7 @@ from keymint_ros2_dds.enclave_layout import GOVERNANCE_XML, PERMISSIONS_XML
 from keymint_ros2_dds.proving.claims import prove_content
 from keymint_ros2_dds.proving.document_relation import compare_document
 from keymint_ros2_dds.reading import signed_governance, signed_permissions
-from keymint_ros2_dds.reading.signed_governance import (
-    ACCESS,
-    DOMAIN_PROTECTIONS,
-    JOIN,
-    TOPIC_PROTECTIONS,
-    UNAUTHENTICATED,
-    DocumentDomainRule,
-)
+from keymint_ros2_dds.reading.signed_governance import ACCESS, JOIN, UNAUTHENTICATED, DocumentDomainRule
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, as_ranges
 from keymint_ros2_dds.settings import STRICT_TOPIC, package_of, validity_of
 from keymint_ros2_dds.subject_names import subject_name_of
@@ -78,14 +72,18 @@ def kept_permissions(package: Package) -> Emitted | None:
     if document is None or not_kept(package, PERMISSIONS_XML, document):
         return None
     compiled = compile_rules(package.grant, package.distro, BuildOptions(allow_vendor_specific=True))
-    notes = () if compiled.portable else (_vendors(package),)
-    return Emitted(document, (), len(document), compiled, (), notes)
+    message = "goes on with signed permissions that vendors of DDS may read differently from the standard"
+    help_ = "'keymint prove' says what they do; '--allow-vendor-specific' accepts it"
+    note = Diagnostic.warning("kept-vendors", message, package.grant.origin, help_, package.subject)
+    return Emitted(document, (), len(document), compiled, (), () if compiled.portable else (note,))
 
 
 def kept_governance(package: Package, built: bytes) -> bytes:
     """Return the governance document that another tool signed, if it has the rules of the one that was built."""
     kept = package.kept.get(GOVERNANCE_XML)
-    return kept if kept is not None and _has_same_rules(kept, built) else built
+    with suppress(KeymintError):
+        return kept if kept is not None and is_same(kept, built) else built
+    return built
 
 
 def not_kept(package: Package, name: str, document: bytes) -> str:
@@ -124,24 +122,6 @@ def _difference(package: Package, document: bytes) -> str:
     return f"it {verb} its subject to {example.endpoint.action} {example.endpoint.name!r}, other than the policy"
 
 
-def _vendors(package: Package) -> Diagnostic:
-    return Diagnostic.warning(
-        "kept-vendors",
-        "goes on with signed permissions that vendors of DDS may read differently from the standard",
-        package.grant.origin,
-        "'keymint prove' says what they do; '--allow-vendor-specific' accepts it",
-        package.subject,
-    )
-
-
-@lru_cache(maxsize=64)
-def _has_same_rules(kept: bytes, built: bytes) -> bool:
-    try:
-        return is_same(kept, built)
-    except KeymintError:
-        return False
-
-
 # -- governance as a source ------------------------------------------------------------------------------------------
 
 
@@ -160,11 +140,11 @@ def governance_source(document: bytes, signer: str) -> bytes | None:
     dds_xml.child(root, "issuer_name", signer)
     dds_xml.domains(root, as_ranges(rule.domains))
     dds_xml.settings(root, {UNAUTHENTICATED: rule.unauthenticated, JOIN: rule.join_controlled})
-    dds_xml.settings(root, dict(zip(DOMAIN_PROTECTIONS, rule.protections, strict=True)))
+    dds_xml.settings(root, dict(zip(signed_governance.DOMAIN_PROTECTIONS, rule.protections, strict=True)))
     topics = dds_xml.child(root, "topic_access_rules")
     for topic in rule.topic_rules:
         own: dict[str, str | bool] = {
-            **dict(zip(TOPIC_PROTECTIONS, topic.protections, strict=True)),
+            **dict(zip(signed_governance.TOPIC_PROTECTIONS, topic.protections, strict=True)),
             ACCESS["subscribe"]: topic.read_controlled,
             ACCESS["publish"]: topic.write_controlled,
         }
@@ -173,6 +153,7 @@ def governance_source(document: bytes, signer: str) -> bytes | None:
     return _HEAD + etree.tostring(root, encoding="unicode").encode() + b"\n"
 
 
+@lru_cache(maxsize=64)
 def is_same(one: bytes, other: bytes) -> bool:
     """Tell whether two governance documents have the same rules in the same order, however they are written."""
     first, second = ([_meaning(rule) for rule in signed_governance.read(each).domain_rules] for each in (one, other))

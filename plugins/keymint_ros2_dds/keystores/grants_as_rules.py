@@ -221,18 +221,14 @@ def _unordered(document: PermissionsDocument, steps: Sequence[_Step], *, named: 
             if not any(_covers(each, step, named=named) for each in before) and any(
                 _overlap(each, step) for each in later
             ):
-                raise _denied_after(document, step, before[0])
+                line = document.place(before[0].line).line
+                message = (
+                    f"denies to {step.action} {quote(canonical(step.topic))}, but line {line} before it allows "
+                    f"{quote(canonical(before[0].topic))}; in a policy every DENY overrides every ALLOW"
+                )
+                raise _unsayable(message, document.place(step.line), "write out the names that are allowed")
             continue  # all of it is allowed before, or nothing that follows allows any of it
         yield step, document.place(step.line)
-
-
-def _denied_after(document: PermissionsDocument, step: _Step, allowing: _Step) -> KeymintError:
-    line = document.place(allowing.line).line
-    message = (
-        f"denies to {step.action} {quote(canonical(step.topic))}, but line {line} before it allows "
-        f"{quote(canonical(allowing.topic))}; in a policy every DENY overrides every ALLOW"
-    )
-    return _unsayable(message, document.place(step.line), "write out the names that are allowed")
 
 
 def _unsayable(message: str, where: Origin, help_: str) -> KeymintError:

@@ -20,16 +20,8 @@ from keymint.errors import KeymintError
 from keymint.names import package_name
 from keymint.pki import certificates, extensions, keys, smime
 from keymint.pki.distinguished_names import attributes
+from keymint_ros2_dds import enclave_layout as layout
 from keymint_ros2_dds import subject_names
-from keymint_ros2_dds.enclave_layout import (
-    CA,
-    CERTIFICATE,
-    GOVERNANCE_P7S,
-    IDENTITY_CA,
-    KEY,
-    PERMISSIONS_CA,
-    PERMISSIONS_P7S,
-)
 from keymint_ros2_dds.reading import signed_governance, signed_permissions
 from keymint_ros2_dds.reading.signed_governance import GovernanceDocument
 from keymint_ros2_dds.reading.signed_permissions import PermissionsDocument
@@ -44,7 +36,7 @@ FORMS: Mapping[str, str] = {
 _SIGNED = b"MIME-Version:"
 _REVOCATIONS = b"-----BEGIN X509 CRL-----"
 _ENCLAVES, _PUBLIC, _PRIVATE = "enclaves/", "public/", "private/"
-_TOP = frozenset((CA, IDENTITY_CA, PERMISSIONS_CA))
+_TOP = frozenset((layout.CA, layout.IDENTITY_CA, layout.PERMISSIONS_CA))
 """Files at the top of the old layout, to which links of enclaves lead."""
 
 
@@ -121,24 +113,14 @@ def contents(keystore: KeystoreFiles) -> Contents:
                 private.setdefault(keys.fingerprint(public), []).append(path)
         elif _REVOCATIONS in file.content:
             revocations.append(path)
-        elif (certificate := _first_certificate(file.content)) is not None:
-            found[path] = certificate
-    by_form = {name: sorted(paths, key=lambda path: not _is_pem(keystore, path)) for name, paths in private.items()}
-    return Contents(keystore, found, by_form, tuple(sealed), permissions, tuple(governances), tuple(revocations))
-
-
-def _is_pem(keystore: KeystoreFiles, path: str) -> bool:
-    return b"-----BEGIN " in keystore.files[path].content
-
-
-def _first_certificate(pem: bytes) -> x509.Certificate | None:
-    """Return the first certificate of a file; None if it has none, or one that cannot be read."""
-    try:
-        certificate = certificates.load_bundle(pem)[0]
-        certificates.public_key(certificate)
-    except KeymintError:
-        return None
-    return certificate
+        else:
+            with suppress(KeymintError):  # it has no certificate, or one that cannot be read
+                first = certificates.load_bundle(file.content)[0]
+                certificates.public_key(first)
+                found[path] = first
+    for paths in private.values():
+        paths.sort(key=lambda path: b"-----BEGIN " not in keystore.files[path].content)
+    return Contents(keystore, found, private, tuple(sealed), permissions, tuple(governances), tuple(revocations))
 
 
 def _document(signed: bytes) -> PermissionsDocument | GovernanceDocument | None:
@@ -203,7 +185,7 @@ def _named(files: Mapping[str, KeystoreFile], top: str, is_searched: Callable[[s
         if path.startswith(top) and is_searched(path):
             folders.setdefault(f"{folder}/".removeprefix(top).rstrip("/"), {})[name] = path
     for folder, own in sorted(folders.items()):
-        if (CERTIFICATE in own or KEY in own) and (folder or top):
+        if (layout.CERTIFICATE in own or layout.KEY in own) and (folder or top):
             yield EnclavePlace(f"/{folder}", f"{top}{folder}".rstrip("/"), own)
 
 
@@ -218,27 +200,21 @@ def _by_content(contents: Contents) -> Iterator[EnclavePlace]:
         documents = [file for file, names in named.items() if any(same_name(each, name) for each in names)]
         if not documents:
             continue
-        issuer = next((file for file, each in authorities.items() if _issued(certificate, each)), "")
+        issuing = {file: each for file, each in authorities.items() if extensions.may(each, "keyCertSign")}
+        issuer = next((file for file, each in issuing.items() if certificates.is_issued_by(certificate, each)), "")
         signer = next((file for file, each in authorities.items() if _signed(contents.read(documents[0]), each)), "")
+        # Participants read the key from a file with it in PEM, as the first one.
+        public = certificates.public_key(certificate)
+        keyed = ((file, contents.read(file)) for file in contents.keys_of(certificate))
         own = {
-            CERTIFICATE: path,
-            KEY: next((file for file in contents.keys_of(certificate) if _is_read(contents, file, certificate)), ""),
-            IDENTITY_CA: issuer,
-            PERMISSIONS_CA: signer,
-            PERMISSIONS_P7S: documents[0] if len(documents) == 1 else "",
-            GOVERNANCE_P7S: contents.governances[0] if len(contents.governances) == 1 else "",
+            layout.CERTIFICATE: path,
+            layout.KEY: next((file for file, content in keyed if keys.pem_of(content, public) == content), ""),
+            layout.IDENTITY_CA: issuer,
+            layout.PERMISSIONS_CA: signer,
+            layout.PERMISSIONS_P7S: documents[0] if len(documents) == 1 else "",
+            layout.GOVERNANCE_P7S: contents.governances[0] if len(contents.governances) == 1 else "",
         }
         yield EnclavePlace(_subject(certificate), path, {name: file for name, file in own.items() if file})
-
-
-def _is_read(contents: Contents, path: str, certificate: x509.Certificate) -> bool:
-    """Tell whether participants read the key of a certificate from a file with it: in PEM, as the first one."""
-    content = contents.read(path)
-    return keys.pem_of(content, certificates.public_key(certificate)) == content
-
-
-def _issued(certificate: x509.Certificate, authority: x509.Certificate) -> bool:
-    return extensions.may(authority, "keyCertSign") and certificates.is_issued_by(certificate, authority)
 
 
 def _signed(content: bytes, authority: x509.Certificate) -> bool:

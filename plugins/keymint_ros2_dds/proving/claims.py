@@ -76,7 +76,8 @@ class _Comparator:
 
     def __init__(self, question: ProofQuestion) -> None:
         self._question = question
-        opens = question.governance is not None and question.governance.opens()
+        governed = () if question.governance is None else question.governance.document.domain_rules
+        opens = any(rule.opens for rule in governed)
         self.pairs = opens or lists.has_partitions(question.lowered, question.document.grants)
         self._universe = octets.universe(pairs=self.pairs)
         self.independent = octets.is_independent(question.document, question.task.rules)

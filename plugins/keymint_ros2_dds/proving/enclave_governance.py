@@ -18,33 +18,14 @@ from comarmor.patterns.glob import EVERYTHING
 from comarmor.patterns.proofs import escapes
 from comarmor.patterns.tokens import PatternError
 from comarmor.values import dataclass
-from keymint.api import (
-    Claim,
-    ComparisonTask,
-    Counterexample,
-    DomainRange,
-    Endpoint,
-    Package,
-    PolicyDecision,
-    Proof,
-    Verdict,
-)
+from keymint import api
 from keymint_ros2_dds.decision.evaluator import DomainAccess
 from keymint_ros2_dds.decision.semantics import STANDARD, Semantics, Variation
 from keymint_ros2_dds.documents import governance_document
 from keymint_ros2_dds.proving import octets
 from keymint_ros2_dds.proving.document_lists import is_closed, patterns
 from keymint_ros2_dds.reading import signed_governance
-from keymint_ros2_dds.reading.signed_governance import (
-    ACCESS,
-    DOMAIN_PROTECTIONS,
-    JOIN,
-    TOPIC_PROTECTIONS,
-    UNAUTHENTICATED,
-    DocumentDomainRule,
-    DocumentTopicRule,
-    GovernanceDocument,
-)
+from keymint_ros2_dds.reading.signed_governance import ACCESS, JOIN, UNAUTHENTICATED, DocumentDomainRule
 from keymint_ros2_dds.reading.signed_permissions import DocumentDomains
 from keymint_ros2_dds.settings import settings_of
 
@@ -70,7 +51,7 @@ class EnclaveGovernance:
         KeymintError: the document cannot be read, or the sources cannot be expressed as a document.
     """
 
-    def __init__(self, content: bytes, place: tuple[str, int], package: Package | None) -> None:
+    def __init__(self, content: bytes, place: tuple[str, int], package: api.Package | None) -> None:
         built, self._accepted = b"", False
         if package is not None:
             governance = settings_of(package)
@@ -102,7 +83,7 @@ class EnclaveGovernance:
         """Return the rule whose openings are accepted in a domain."""
         return self.source_rule(domain) if self._accepted else None
 
-    def transparent(self, domains: tuple[DomainRange, ...]) -> bool:
+    def transparent(self, domains: tuple[api.DomainRange, ...]) -> bool:
         """Tell whether the permissions alone decide, as every implementation reads the document.
 
         Then it is plain, each domain has a rule, and each rule puts joining and every topic under access control.
@@ -111,10 +92,6 @@ class EnclaveGovernance:
             domains: the domains of the policy.
         """
         return not self.differs and _transparent(self._contents[0], domains)
-
-    def opens(self) -> bool:
-        """Tell whether any rule leaves a topic open."""
-        return any(rule.opens for rule in self.document.domain_rules)
 
     def excepted(self, rule: DocumentDomainRule, action: str, domain: int) -> Iterator[str]:
         """Yield what a rule of the document leaves open in a domain, and the profile accepts."""
@@ -135,7 +112,7 @@ class EnclaveGovernance:
 
 # Enclaves usually have the same governance.
 @lru_cache(maxsize=64)
-def _transparent(content: bytes, domains: tuple[DomainRange, ...]) -> bool:
+def _transparent(content: bytes, domains: tuple[api.DomainRange, ...]) -> bool:
     document = signed_governance.read(content)
     if document.quirks or unread_topic(document, STANDARD):
         return False
@@ -150,7 +127,7 @@ def _transparent(content: bytes, domains: tuple[DomainRange, ...]) -> bool:
     return closed and exact and all(document.rule(domain) is not None for domain in wanted)
 
 
-def unread_topic(document: GovernanceDocument, semantics: Semantics) -> str:
+def unread_topic(document: signed_governance.GovernanceDocument, semantics: Semantics) -> str:
     """Return which expression has no meaning, or one that depends on the locale of a process; or an empty text."""
     for topic in (topic for rule in document.domain_rules for topic in rule.topic_rules):
         if not topic.expression.isascii() or "[:" in topic.expression:
@@ -163,14 +140,14 @@ def unread_topic(document: GovernanceDocument, semantics: Semantics) -> str:
     return ""
 
 
-def cuts(ranges: Iterable[DocumentDomains | DomainRange]) -> Iterator[DomainRange]:
+def cuts(ranges: Iterable[DocumentDomains | api.DomainRange]) -> Iterator[api.DomainRange]:
     """Yield ranges of domains such that each given range contains all or none of the domains of each one."""
     edges = {0, LAST_DOMAIN + 1}
     for domains in ranges:
         first = domains.first or 0
         edges |= {first, first + 1, *(() if domains.last is None else (domains.last + 1,))}
     for begin, end in pairwise(sorted(edge for edge in edges if 0 <= edge <= LAST_DOMAIN + 1)):
-        yield DomainRange(begin, end - 1)
+        yield api.DomainRange(begin, end - 1)
 
 
 _CLAIMED = {
@@ -219,7 +196,9 @@ def help_for(governance: EnclaveGovernance, domain: int) -> str:
     return f"put it under access control in the governance of the package or its defaults, {ACCEPT}"
 
 
-def governance_claims(task: ComparisonTask, governance: EnclaveGovernance, variation: Variation) -> Iterator[Claim]:
+def governance_claims(
+    task: api.ComparisonTask, governance: EnclaveGovernance, variation: Variation
+) -> Iterator[api.Claim]:
     """Yield the claims about domains that are refuted or unknown, as an implementation reads the governance."""
     for domains in cuts(governance.domains()):
         first = domains.first
@@ -240,7 +219,9 @@ def governance_claims(task: ComparisonTask, governance: EnclaveGovernance, varia
         for found in weaker(rule, own, variation.semantics, SearchBudget(task.states, task.go_on)):
             if isinstance(found, Unknown):
                 universe, _ = _CLAIMED["protect"]
-                yield Claim(variation.name, "protect", (domains,), universe, Proof.UNKNOWN, found.reason, spent=True)
+                yield api.Claim(
+                    variation.name, "protect", (domains,), universe, api.Proof.UNKNOWN, found.reason, spent=True
+                )
             else:
                 scope = f"for the topic {found.topic!r}" if found.topic else f"in domain {first}"
                 reason = f"{found.tag} is {found.text} {scope}, but the sources require {found.required}"
@@ -249,33 +230,27 @@ def governance_claims(task: ComparisonTask, governance: EnclaveGovernance, varia
 
 
 def _refuted(
-    task: ComparisonTask, variation: Variation, domains: DomainRange,
+    task: api.ComparisonTask, variation: Variation, domains: api.DomainRange,
     action: str, topic: str, reason: str, where: Origin, help_: str,
-) -> Claim:  # fmt: skip
+) -> api.Claim:  # fmt: skip
     universe, expected = _CLAIMED[action]
-    example = Counterexample(
-        Endpoint(task.rules.subject, action, topic, domain=domains.first),
+    example = api.Counterexample(
+        api.Endpoint(task.rules.subject, action, topic, domain=domains.first),
         None,
-        PolicyDecision(allowed=False, where=None, reason=Reason((expected,))),
-        Verdict(allowed=True, reason=reason, where=where),
+        api.PolicyDecision(allowed=False, where=None, reason=Reason((expected,))),
+        api.Verdict(allowed=True, reason=reason, where=where),
         help_,
         where,
         expected,
     )
-    return Claim(variation.name, action, (domains,), universe, Proof.COUNTEREXAMPLE, "", example)
+    return api.Claim(variation.name, action, (domains,), universe, api.Proof.COUNTEREXAMPLE, "", example)
 
 
+_CONTROLLED = signed_governance.DocumentTopicRule(
+    "*", read_controlled=True, write_controlled=True, protections=("false", "false", "NONE", "NONE"), line=0
+)
 STRICT = DocumentDomainRule(
-    (),
-    join_controlled=True,
-    unauthenticated=False,
-    protections=("NONE",) * len(DOMAIN_PROTECTIONS),
-    topic_rules=(
-        DocumentTopicRule(
-            "*", read_controlled=True, write_controlled=True, protections=("false", "false", "NONE", "NONE"), line=0
-        ),
-    ),
-    line=0,
+    (), join_controlled=True, unauthenticated=False, protections=("NONE",) * 3, topic_rules=(_CONTROLLED,), line=0
 )
 """What a domain without sources requires: access control, and no protection."""
 
@@ -303,7 +278,10 @@ def weaker(
     yield from _weaker_domain(signed, required, access=access)
     elements: dict[tuple[int, str], Weaker] = {}
     for (rule, region), (own, wanted) in product(_regions(signed, semantics), _regions(required, semantics)):
-        lacking = list(_weaker_topics(rule, own, access=access))
+        lacking = list(_lacking(signed_governance.TOPIC_PROTECTIONS, rule.protections, own.protections))
+        for action, tag in ACCESS.items():
+            if access and own.controls(action) and not rule.controls(action):
+                lacking.append((tag, "false", "true"))
         if not lacking or all((rule.line, tag) in elements for tag, _, _ in lacking):
             continue
         outcome = escapes((region, wanted), (), octets.universe(pairs=False), budget)
@@ -317,20 +295,12 @@ def weaker(
 
 
 def _weaker_domain(signed: DocumentDomainRule, required: DocumentDomainRule, *, access: bool) -> Iterator[Weaker]:
-    for tag, text, value in _lacking(DOMAIN_PROTECTIONS, signed.protections, required.protections):
+    for tag, text, value in _lacking(signed_governance.DOMAIN_PROTECTIONS, signed.protections, required.protections):
         yield Weaker(signed.line_of(tag), tag, text, value)
     if access and required.join_controlled and not signed.join_controlled:
         yield Weaker(signed.line_of(JOIN), JOIN, "false", "true")
     if access and signed.unauthenticated and not required.unauthenticated:
         yield Weaker(signed.line_of(UNAUTHENTICATED), UNAUTHENTICATED, "true", "false")
-
-
-def _weaker_topics(rule: DocumentTopicRule, own: DocumentTopicRule, *, access: bool) -> Iterator[tuple[str, str, str]]:
-    """Yield each element in which a topic rule is weaker than another, with both values."""
-    yield from _lacking(TOPIC_PROTECTIONS, rule.protections, own.protections)
-    for action, tag in ACCESS.items():
-        if access and own.controls(action) and not rule.controls(action):
-            yield tag, "false", "true"
 
 
 def _lacking(tags: Sequence[str], texts: Sequence[str], wanted: Sequence[str]) -> Iterator[tuple[str, str, str]]:
@@ -340,7 +310,9 @@ def _lacking(tags: Sequence[str], texts: Sequence[str], wanted: Sequence[str]) -
             yield tag, text, value
 
 
-def _regions(rule: DocumentDomainRule, semantics: Semantics) -> Iterator[tuple[DocumentTopicRule, DecisionList]]:
+def _regions(
+    rule: DocumentDomainRule, semantics: Semantics
+) -> Iterator[tuple[signed_governance.DocumentTopicRule, DecisionList]]:
     """Yield each topic rule, with the list that permits the topics that it applies to."""
     before: tuple[Block, ...] = ()
     for topic_rule in rule.topic_rules:
