@@ -11,9 +11,8 @@ from keymint.api import Claim, ComparisonTask, EnclaveFiles, Proof, ProofTask, V
 from keymint.errors import KeymintError
 from keymint.pki import smime
 from keymint.pki.examine import enclave_file
-from keymint_ros2_dds import enclave_layout as roles
 from keymint_ros2_dds.decision.semantics import OMG, shipped_models
-from keymint_ros2_dds.enclave_layout import CERTIFICATE, GOVERNANCE, PERMISSIONS
+from keymint_ros2_dds.enclave_layout import CERTIFICATE, GOVERNANCE, PERMISSIONS, PERMISSIONS_ROLE
 from keymint_ros2_dds.examine.enclave_rules import differences
 from keymint_ros2_dds.proving import grant_periods
 from keymint_ros2_dds.proving.claims import prove_content, remember
@@ -26,7 +25,8 @@ _Question = tuple[ComparisonTask, EnclaveGovernance, tuple[str, ...]]
 
 def prove(task: ProofTask) -> tuple[Claim, ...]:
     """Return the claims about an enclave, by model, action and domains; see :func:`question`."""
-    return _proven(*question(task))
+    held, governance, models = question(task)
+    return prove_content(held, models=models, governance=governance)
 
 
 def question(task: ProofTask) -> _Question:
@@ -53,10 +53,6 @@ def question(task: ProofTask) -> _Question:
     return held, EnclaveGovernance(*signed, package), models
 
 
-def _proven(task: ComparisonTask, governance: EnclaveGovernance, models: tuple[str, ...]) -> tuple[Claim, ...]:
-    return prove_content(task, models=models, governance=governance)
-
-
 def remote_question(task: ProofTask) -> _Question:
     """See :meth:`keymint.api.Prover.question`: signatures and keys are verified here, not where it is proven."""
     held, governance, models = question(task)
@@ -78,8 +74,9 @@ def prove_part(_plugins: object, asked: Sequence[_Question]) -> tuple[tuple[Clai
 
 
 def _proven_or_none(asked: _Question) -> tuple[Claim, ...]:
+    task, governance, models = asked
     try:
-        return _proven(*asked)
+        return prove_content(task, models=models, governance=governance)
     except KeymintError:
         return ()
 
@@ -106,7 +103,7 @@ def _signed(enclave: EnclaveFiles, kind: str, *, unsigned: bool = False) -> tupl
     """Return the content of a signed document, its file, and the number of lines before it there."""
     name, plain, folder = f"{kind}.p7s", f"{kind}.xml", enclave.folder
     file, where = enclave_file(enclave.files, folder, name), Origin(f"{folder}/{name}")
-    signed = smime.read(file, enclave.anchors.authorities[roles.PERMISSIONS_ROLE].chain, where=where)
+    signed = smime.read(file, enclave.anchors.authorities[PERMISSIONS_ROLE].chain, where=where)
     if unsigned or enclave.files.get(plain) == signed.content:
         return signed.content, (f"{folder}/{plain}", 0)
     return signed.content, (where.file, signed.lines_before)

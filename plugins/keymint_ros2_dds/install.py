@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import lru_cache
 
 from comarmor.errors import Origin
@@ -30,24 +31,20 @@ def install(
     if layout not in enclave.LAYOUTS:
         help_ = f"use {' or '.join(enclave.LAYOUTS)}"
         raise KeymintError(f"unknown layout {layout!r}", help=help_, code="layout-unknown")
-    if (
-        enclave.has_one_authority(layout, package.distro)
-        and credentials.chains[enclave.IDENTITY_ROLE] != credentials.chains[enclave.PERMISSIONS_ROLE]
-    ):
-        raise KeymintError(
+    issuers, signers = (credentials.chains[role] for role in (enclave.IDENTITY_ROLE, enclave.PERMISSIONS_ROLE))
+    if enclave.has_one_authority(layout, package.distro) and issuers != signers:
+        message = (
             f"{package.subject} has one authority for identities and another for permissions, but the layout 'flat' "
-            f"has one file for both in {package.distro.capitalize()}",
-            where=package.grant.origin,
-            help="name one authority for both, or use the layout 'sros2'",
-            code="layout-authorities",
+            f"has one file for both in {package.distro.capitalize()}"
         )
-    permissions, governance = (
-        _document(package, documents, kind) for kind in (enclave.PERMISSIONS, enclave.GOVERNANCE)
-    )
+        help_ = "name one authority for both, or use the layout 'sros2'"
+        raise KeymintError(message, where=package.grant.origin, help=help_, code="layout-authorities")
+    permissions = _document(package, documents, enclave.PERMISSIONS)
+    governance = _document(package, documents, enclave.GOVERNANCE)
     files = {
-        enclave.IDENTITY_CA: Artifact(credentials.chains[enclave.IDENTITY_ROLE]),
-        enclave.PERMISSIONS_CA: Artifact(credentials.chains[enclave.PERMISSIONS_ROLE]),
-        enclave.CA: Artifact(credentials.chains[enclave.PERMISSIONS_ROLE]),
+        enclave.IDENTITY_CA: Artifact(issuers),
+        enclave.PERMISSIONS_CA: Artifact(signers),
+        enclave.CA: Artifact(signers),
         enclave.CERTIFICATE: Artifact(credentials.certificate),
         enclave.KEY: Artifact(credentials.key, secret=True),
         enclave.PERMISSIONS_XML: Artifact(permissions),
@@ -71,12 +68,8 @@ def revocation_files(distro: str, layout: str, revocations: bytes) -> Mapping[st
 def _document(package: Package, documents: Mapping[str, bytes], kind: str) -> bytes:
     content, where = documents.get(f"{kind}.xml"), Origin(f"{package.name}/{kind}.xml")
     if content is None:
-        raise KeymintError(
-            f"{package.subject} has no {kind}.xml",
-            where=where,
-            help=f"run 'keymint build {package.name}'",
-            code="document-missing",
-        )
+        message, help_ = f"{package.subject} has no {kind}.xml", f"run 'keymint build {package.name}'"
+        raise KeymintError(message, where=where, help=help_, code="document-missing")
     dds_xml.require_valid(content, kind, where.file)
     smime.require_signable(content, where)
     return content
@@ -122,15 +115,9 @@ def shared_files(artifacts: Mapping[str, Mapping[str, Artifact]], layout: str) -
     if len(result) == 2 and len({artifact.content for artifact in result.values()}) == 1:  # noqa: PLR2004 - both
         result[f"public/{enclave.CA}"] = result[f"public/{enclave.IDENTITY_CA}"]
     signed = [files[enclave.GOVERNANCE_P7S].content for files in enclaves]
-    documents = {_content(one) for one in dict.fromkeys(signed)}
-    if len(documents) == 1 and (content := documents.pop()) is not None:
-        result[f"enclaves/{enclave.GOVERNANCE_XML}"] = Artifact(content)
-        result[f"enclaves/{enclave.GOVERNANCE_P7S}"] = Artifact(signed[0])
+    with suppress(KeymintError):  # one cannot be read
+        documents = set(map(smime.signed_content, dict.fromkeys(signed)))
+        if len(documents) == 1:
+            result[f"enclaves/{enclave.GOVERNANCE_XML}"] = Artifact(documents.pop())
+            result[f"enclaves/{enclave.GOVERNANCE_P7S}"] = Artifact(signed[0])
     return result
-
-
-def _content(signed: bytes) -> bytes | None:
-    try:
-        return smime.signed_content(signed)
-    except KeymintError:
-        return None

@@ -164,24 +164,17 @@ def settings(sources: api.PackageSources) -> api.PackageSettings:
     if governance is None or defects.found:
         raise KeymintError.of(defects.found)
     if grant and grant.issuer != governance.issuer:
-        raise KeymintError(
-            f"permissions are signed by {grant.issuer!r}, governance by {governance.issuer!r}",
-            where=sources.parts[PART].where,
-            help="use the same authority for both: a DDS participant verifies both with one certificate",
-            code="signers-differ",
-        )
+        message = f"permissions are signed by {grant.issuer!r}, governance by {governance.issuer!r}"
+        help_ = "use the same authority for both: a DDS participant verifies both with one certificate"
+        raise KeymintError(message, where=sources.parts[PART].where, help=help_, code="signers-differ")
     return api.PackageSettings(governance)
 
 
 def _governance(sources: api.PackageSources, part: api.SourcePart) -> DdsSettings:
     own = () if part.content is None else _read(part.content, part.file).iterfind("domain_access_rules/domain_rule")
     if part.defaults is None:
-        raise KeymintError(
-            f"there is no file {quote(part.defaults_file, 200)} in the package or its profile",
-            where=part.where,
-            help="create it, or correct the path",
-            code="file-missing",
-        )
+        message = f"there is no file {quote(part.defaults_file, 200)} in the package or its profile"
+        raise KeymintError(message, where=part.where, help="create it, or correct the path", code="file-missing")
     base, general, defaults_issuer = _base(part.defaults, part.defaults_file)
     usual = defaults_issuer or (sources.grant.issuer if sources.grant else "")
     issuer = signer(part.issuer, part.where, usual, base.origin, sources.authorities)

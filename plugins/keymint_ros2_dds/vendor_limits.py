@@ -38,14 +38,10 @@ def check_key(package: Package, *, allow_vendor_specific: bool) -> Iterator[Diag
         yield from error.diagnostics
         return
     if name not in _ACCEPTED_KEYS:
-        yield Diagnostic(
-            "portability-key",
-            Severity.WARNING if allow_vendor_specific else Severity.ERROR,
-            f"the identity's key is {name}; Cyclone DDS accepts RSA with 2048 bits and SECP256R1 only",
-            package.identity.origin,
-            "use SECP256R1, or build with --allow-vendor-specific",
-            package.subject,
-        )
+        severity = Severity.WARNING if allow_vendor_specific else Severity.ERROR
+        message = f"the identity's key is {name}; Cyclone DDS accepts RSA with 2048 bits and SECP256R1 only"
+        help_ = "use SECP256R1, or build with --allow-vendor-specific"
+        yield Diagnostic("portability-key", severity, message, package.identity.origin, help_, package.subject)
 
 
 def check_root_name(package: Package, *, allow_vendor_specific: bool) -> Iterator[Diagnostic]:
@@ -62,16 +58,16 @@ def check_root_name(package: Package, *, allow_vendor_specific: bool) -> Iterato
     except KeymintError:
         return  # reported with the name
     if parts == (("CN", "/"),):
-        yield Diagnostic(
-            "portability-root-name",
-            Severity.WARNING if allow_vendor_specific or package.kept else Severity.ERROR,
+        severity = Severity.WARNING if allow_vendor_specific or package.kept else Severity.ERROR
+        message = (
             f"the root enclave is named {package.identity.subject_name!r} alone: on Cyclone DDS that identity can use "
-            "the permissions of every other enclave",
-            package.identity.origin,
-            "write <subject_name>CN={common_name},OU={unique}</subject_name> for certificate and permissions, or use "
-            "the subject format 'unique'; where only Fast DDS runs, build with --allow-vendor-specific",
-            package.subject,
+            "the permissions of every other enclave"
         )
+        help_ = (
+            "write <subject_name>CN={common_name},OU={unique}</subject_name> for certificate and permissions, or use "
+            "the subject format 'unique'; where only Fast DDS runs, build with --allow-vendor-specific"
+        )
+        yield Diagnostic("portability-root-name", severity, message, package.identity.origin, help_, package.subject)
 
 
 def check_issuers(package: Package) -> Iterator[Diagnostic]:
@@ -80,31 +76,20 @@ def check_issuers(package: Package) -> Iterator[Diagnostic]:
     Measured with participants of Cyclone DDS 0.10.2 and Fast DDS 2.9.1. They are warnings, since a deployment may know
     its vendor. They have no subject, since one authority issues many identities.
     """
-    if package.identity.hash_algorithm.upper() != "SHA256":
-        yield Diagnostic.warning(
-            "portability-hash",
-            f"identities are signed with {package.identity.hash_algorithm}; Fast DDS 2.9 refuses all but SHA256",
-            package.identity.origin,
-            "use SHA256",
-        )
+    if (algorithm := package.identity.hash_algorithm).upper() != "SHA256":
+        message = f"identities are signed with {algorithm}; Fast DDS 2.9 refuses all but SHA256"
+        yield Diagnostic.warning("portability-hash", message, package.identity.origin, "use SHA256")
     for authority in package.issuers:
-        spec = authority.certificate
+        spec, named = authority.certificate, f"the authority {authority.name!r}"
         if spec.issuer:
-            yield Diagnostic.warning(
-                "portability-chain",
-                f"the authority {authority.name!r} is an intermediate CA; Cyclone DDS refuses identities it issues",
-                spec.origin,
-                "issue identities by a self-signed authority",
-            )
+            message = f"{named} is an intermediate CA; Cyclone DDS refuses identities it issues"
+            help_ = "issue identities by a self-signed authority"
+            yield Diagnostic.warning("portability-chain", message, spec.origin, help_)
         with suppress(KeymintError):  # reported where the authority's key is generated
             if _key_name(spec.key, spec.origin) not in _ACCEPTED_KEYS:
-                yield Diagnostic.warning(
-                    "portability-authority-key",
-                    f"the key of the authority {authority.name!r} is not RSA with 2048 bits or SECP256R1; "
-                    "Cyclone DDS refuses identities that it issues",
-                    spec.origin,
-                    "use SECP256R1",
-                )
+                what = f"the key of {named} is not RSA with 2048 bits or SECP256R1"
+                message = f"{what}; Cyclone DDS refuses identities that it issues"
+                yield Diagnostic.warning("portability-authority-key", message, spec.origin, "use SECP256R1")
 
 
 def _key_name(key: KeySpec, where: Origin) -> str:

@@ -40,26 +40,14 @@ def endpoints(distro: str, edge: Edge) -> tuple[Edge, ...]:
     """
     if edge.object.kind == "topic":
         return (edge,)
-    name = edge.object.name
-    return tuple(
-        Edge(edge.subject, action, _topic(distro, f"{prefix}{name}{suffix}"), edge.domain)
-        for action, prefix, suffix in _dds_topics(distro, edge.object.kind, edge.permission)
-    )
-
-
-def _topic(distro: str, path: str) -> Object:
-    """Return the DDS topic of a ROS name with prefix and suffix; for Ardent, all but the base name is a partition."""
-    if distro != ARDENT:
-        return Object("topic", path)
-    partition, _, topic = path.rpartition("/")
-    return Object("topic", topic, (partition,))
-
-
-def _paths(distro: str, topic: Object) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    """Return the ROS names, with prefix and suffix, that map to a topic, each with the remaining partitions."""
-    if distro != ARDENT:
-        return ((topic.name, topic.partitions),)
-    return tuple((f"{partition}/{topic.name}", ()) for partition in topic.partitions)
+    result = []
+    for action, prefix, suffix in _dds_topics(distro, edge.object.kind, edge.permission):
+        topic = Object("topic", f"{prefix}{edge.object.name}{suffix}")
+        if distro == ARDENT:  # all but the base name is a partition
+            partition, _, base = topic.name.rpartition("/")
+            topic = Object("topic", base, (partition,))
+        result.append(Edge(edge.subject, action, topic, edge.domain))
+    return tuple(result)
 
 
 def meanings(distro: str, endpoint: Edge) -> tuple[Edge, ...]:
@@ -73,7 +61,12 @@ def meanings(distro: str, endpoint: Edge) -> tuple[Edge, ...]:
         KeymintError: the distribution is unknown.
     """
     result = []
-    for path, partitions in _paths(distro, endpoint.object):
+    topic = endpoint.object
+    # The ROS names, with prefix and suffix, that map to the topic, each with the remaining partitions.
+    paths: list[tuple[str, tuple[str, ...]]] = [(topic.name, topic.partitions)]
+    if distro == ARDENT:
+        paths = [(f"{partition}/{topic.name}", ()) for partition in topic.partitions]
+    for path, partitions in paths:
         for permission, kind in _KINDS.items():
             for action, prefix, suffix in _dds_topics(distro, kind, permission):
                 if action == endpoint.permission and path.startswith(f"{prefix}/") and path.endswith(suffix):

@@ -126,7 +126,9 @@ def lower(rules: SubjectRules, distro: str) -> Lowered:
             try:
                 patterns = _patterns(tokens, rule.kind, rule.permissions, rule.effect, distro)
             except KeyError as error:
-                raise _unknown_permission(error.args[0], rule) from None
+                message = f"DDS knows no permission {error.args[0]!r} of a {rule.kind} rule"
+                help_ = did_you_mean(error.args[0], DDS_TOPICS)
+                raise KeymintError(message, where=rule.origin, help=help_, code="permission-unknown") from None
             for action, pattern, partition in patterns:
                 side[action].setdefault((pattern, partition or partitions), rule)
             if not patterns or not (rule.kind == _RAW_TOPIC or matches_ros_name(tokens)):
@@ -148,33 +150,14 @@ def _patterns(
     )
 
 
-def _unknown_permission(part: str, rule: Rule) -> KeymintError:
-    return KeymintError(
-        f"DDS knows no permission {part!r} of a {rule.kind} rule",
-        where=rule.origin,
-        help=did_you_mean(part, DDS_TOPICS),
-        code="permission-unknown",
-    )
-
-
 def _unknown(rule: Rule, distro: str, subject: str) -> Diagnostic:
-    return Diagnostic.error(
-        "distro-kind",
-        f"ROS 2 {distro.capitalize()} has no actions, but this is an {rule.effect} {rule.kind} rule",
-        rule.origin,
-        "remove it, or take a later distro",
-        subject,
-    )
+    message = f"ROS 2 {distro.capitalize()} has no actions, but this is an {rule.effect} {rule.kind} rule"
+    return Diagnostic.error("distro-kind", message, rule.origin, "remove it, or take a later distro", subject)
 
 
 def _never_matches(expression: str, rule: Rule, subject: str) -> Diagnostic:
     raw = rule.kind == _RAW_TOPIC
-    return Diagnostic.warning(
-        "never-matches",
-        f"the expression {expression!r} of this {rule.effect} {rule.kind} rule matches no name: no "
-        + ("DDS topic" if raw else "ROS object")
-        + " can have such a name",
-        rule.origin,
-        "remove it" if raw or not expression else advice(expression),
-        subject,
-    )
+    why = f"no {'DDS topic' if raw else 'ROS object'} can have such a name"
+    message = f"the expression {expression!r} of this {rule.effect} {rule.kind} rule matches no name: {why}"
+    help_ = "remove it" if raw or not expression else advice(expression)
+    return Diagnostic.warning("never-matches", message, rule.origin, help_, subject)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
 
-from comarmor.patterns.decision_lists import DecisionList, ProofResult, Unknown, Witness
+from comarmor.patterns.decision_lists import ProofResult, Unknown, Witness
 from comarmor.patterns.proofs import escapes
 from comarmor.patterns.tokens import PatternError
 from keymint.api import Claim, ComparisonTask, DomainRange, Proof
@@ -88,17 +88,15 @@ class _Comparator:
         """Compare what the policy allows with what the document permits."""
         policy = self._policy[situation.action] if situation.inside else lists.NOTHING
         key = (policy, permitted)
-        result = self._known.get(key)
-        if result is None:
-            result = self._known[key] = self._compared(policy, permitted)
-        return result
-
-    def _compared(self, policy: DecisionList, permitted: lists.Permitted) -> ProofResult:
-        budget = self._question.budget()
-        if self._question.since is None:
-            return lists.difference(policy, permitted, self._universe, budget)
-        found = escapes(permitted.lists, policy, self._universe, budget)
-        return Witness(found.word, left=False) if isinstance(found, Witness) else found
+        if key not in self._known:
+            budget = self._question.budget()
+            if self._question.since is None:
+                found = lists.difference(policy, permitted, self._universe, budget)
+            else:
+                found = escapes(permitted.lists, policy, self._universe, budget)
+                found = Witness(found.word, left=False) if isinstance(found, Witness) else found
+            self._known[key] = found
+        return self._known[key]
 
 
 class _Model:

@@ -99,7 +99,13 @@ def of_grant(
     default = (Block(True, (EVERYTHING,)),) if semantics.default_counts and grant.allows else ()
     lists = [(*_endpoints(rules, action, semantics, pairs=pairs), *default)]
     if semantics.topic_check:
-        lists.append((*_topics(rules, action, semantics, pairs=pairs), *default))
+        # The first criteria that match the topic decide, of one direction or any.
+        either = semantics.topic_check is TopicCheck.EITHER
+        actions = {action} if either else {*TopicAction} - {TopicAction.RELAY}
+        naming = ((rule.allows, each.topics) for rule in rules for each in rule.criteria if each.action in actions)
+        topics = ((allows, _read(expressions, semantics)) for allows, expressions in naming)
+        blocks = (Block(allows, _words((EVERYTHING,), globs, pairs=pairs)) for allows, globs in topics)
+        lists.append((*blocks, *default))
     return tuple(dict.fromkeys(lists))
 
 
@@ -114,16 +120,6 @@ def _endpoints(rules: Iterable[DocumentRule], action: str, semantics: Semantics,
             yield Block(rule.allows, words)
             if semantics.first_topic_decides and (named := _words((EVERYTHING,), topics, pairs=pairs)) != words:
                 yield Block(False, named)
-
-
-def _topics(rules: Iterable[DocumentRule], action: str, semantics: Semantics, *, pairs: bool) -> Iterator[Block]:
-    """Yield the blocks of the topic check: the first criteria that match the topic decide, of one direction or any."""
-    actions = {action} if semantics.topic_check is TopicCheck.EITHER else {*TopicAction} - {TopicAction.RELAY}
-    for rule in rules:
-        for criteria in rule.criteria:
-            if criteria.action in actions:
-                topics = _read(criteria.topics, semantics)
-                yield Block(rule.allows, _words((EVERYTHING,), topics, pairs=pairs))
 
 
 def _partitions(rule: DocumentRule, together: Sequence[DocumentCriteria], semantics: Semantics) -> tuple[Glob, ...]:
@@ -227,12 +223,6 @@ def patterns(expression: str, semantics: Semantics, *, pairs: bool) -> tuple[Glo
     return tuple(octets.pair(EVERYTHING, topic) for topic in globs) if pairs else globs
 
 
-def without_wildcards(universe: Universe) -> Universe:
-    """Return the words of a universe without :data:`WILDCARDS`."""
-    wildcards = charset((ord(char), ord(char)) for char in WILDCARDS)
-    return replace(universe, alphabet=universe.alphabet.intersection(wildcards.complement()))
-
-
 def difference(policy: DecisionList, permitted: Permitted, universe: Universe, budget: SearchBudget) -> ProofResult:
     """Compare what a policy allows with what the documents permit.
 
@@ -248,7 +238,8 @@ def difference(policy: DecisionList, permitted: Permitted, universe: Universe, b
     if permitted.regions is None:
         return proofs.difference(policy, *permitted.lists, universe=universe, budget=budget)
     if permitted.both_ways:
-        universe = without_wildcards(universe)
+        wildcards = charset((ord(char), ord(char)) for char in WILDCARDS)
+        universe = replace(universe, alphabet=universe.alphabet.intersection(wildcards.complement()))
     best: Witness | None = None
     unknown: Unknown | None = None
     for together, refusing, left in _questions(policy, permitted, permitted.regions):

@@ -87,7 +87,13 @@ class _Comparison:
         excess: _Found | None = None
         try:
             for situation in self._situations():
-                policy, permitted = self._lists(situation)
+                action, era, pairs = situation.action, situation.era, self._pairs
+                policy, permitted = NOTHING, NOTHING
+                if situation.inside:
+                    policy = document_lists.of_policy(self._question.lowered, action, pairs=pairs)
+                if era is not None:
+                    domain = situation.domain
+                    (permitted,) = document_lists.of_grant(era.grant, domain, action, _SEMANTICS, pairs=pairs)
                 missing = self._shorter(missing, situation, policy, permitted)
                 excess = self._shorter(excess, situation, permitted, policy)
         except PatternError as error:
@@ -110,20 +116,6 @@ class _Comparison:
                 seen.add((inside, applying))
                 for action, era in product(TopicAction, self._eras or (None,)):
                     yield Situation(action, domains.first, inside, era)
-
-    def _lists(self, situation: Situation) -> tuple[DecisionList, DecisionList]:
-        """Return what the rules allow, and what the document permits.
-
-        Raises:
-            PatternError: an expression of the document is not defined.
-        """
-        action, era, pairs = situation.action, situation.era, self._pairs
-        policy, permitted = NOTHING, NOTHING
-        if situation.inside:
-            policy = document_lists.of_policy(self._question.lowered, action, pairs=pairs)
-        if era is not None:
-            (permitted,) = document_lists.of_grant(era.grant, situation.domain, action, _SEMANTICS, pairs=pairs)
-        return policy, permitted
 
     def _shorter(
         self, best: _Found | None, situation: Situation, more: DecisionList, less: DecisionList

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from functools import cache, lru_cache
+from functools import lru_cache
 
 from comarmor.patterns.decision_lists import Universe
 from comarmor.patterns.glob import Glob, normalise, parse
@@ -63,12 +63,6 @@ def of_glob(glob: Glob) -> Glob:
     return tuple(dialects.in_bytes(token) if isinstance(token, str) else token for token in glob)
 
 
-@cache
-def _strict(dialect: Dialect) -> Dialect:
-    """Return the dialect with errors for notation that implementations read differently."""
-    return replace(dialect, errors=frozenset({Undefined.UNKNOWN_CLASS, Undefined.COLLATION}))
-
-
 # Each model asks for each list of expressions, and for some of them in both directions.
 @lru_cache(maxsize=64)
 def read(expressions: tuple[str, ...], dialect: Dialect) -> tuple[Glob, ...]:
@@ -82,7 +76,7 @@ def read(expressions: tuple[str, ...], dialect: Dialect) -> tuple[Glob, ...]:
         if not joined.isascii():
             expressions = tuple(map(dialects.in_bytes, expressions))
         return tuple((text,) if text else () for text in dict.fromkeys(expressions))
-    strict = _strict(dialect)
+    strict = replace(dialect, errors=frozenset({Undefined.UNKNOWN_CLASS, Undefined.COLLATION}))
     patterns = dict.fromkeys([parse(expression, strict) for expression in expressions])
     return tuple(patterns) if joined.isascii() else tuple(dict.fromkeys(map(of_glob, patterns)))
 

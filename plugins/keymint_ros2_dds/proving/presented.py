@@ -114,38 +114,28 @@ def _of_document(
     try:
         document = read(given.content, given.where.file, given.lines_before)
     except KeymintError as error:
-        yield from _unread(task, given, str(error.diagnostics[0]))
+        if not given.proven_for:  # a document of an enclave that cannot be read is reported with it
+            reason = str(error.diagnostics[0])
+            claims = tuple(Claim(name, "use", (), "", Proof.UNKNOWN, reason) for name in VARIATIONS)
+            yield from (ExcessRights(each, given, claims, each.until) for each in task.holders[:1])
         return
-    for holder, name in identities.of(_readings(document)):
-        by_reading = {id(each): _chosen(document, name, each) for each in _CHOOSING}
-        chosen = {model: by_reading[id(each)] for model, each in _SEMANTICS.items()}
+    # The names of the grants, as each implementation reads them.
+    readings = {each.reads_text(grant.subject_name) for each in _CHOOSING for grant in document.grants}
+    reading = [each for each in _CHOOSING if not each.refusal(document)]
+    for holder, name in identities.of(readings):
+        by_reading = {id(each): each.grants(document, name) for each in reading}
+        chosen = {model: by_reading.get(id(each), ()) for model, each in _SEMANTICS.items()}
         ends = _until(grant for grants in by_reading.values() for grant in grants)
         if ends is None or ends < task.now:
             continue
-        models = _to_prove(task, chosen, holder, known)
+        models = [model for model, grants in chosen.items() if grants]
+        if holder.name == known:  # other claims are proven with the enclave itself
+            proven = shipped_models(task.distro or holder.distro)
+            others = (each for each in chosen if each not in proven)
+            models = [each for each in others if not any(_alike(chosen, each, model) for model in proven)]
         claims = tuple(_claims(task, given, document, (holder, name), models, known))
         if claims:
             yield ExcessRights(holder, given, claims, min(ends, holder.until))
-
-
-def _readings(document: PermissionsDocument) -> set[str]:
-    """Return the names of the grants of a document, as each implementation reads them."""
-    readers = {each.reads_text for each in _CHOOSING}
-    return {reads(grant.subject_name) for grant in document.grants for reads in readers}
-
-
-def _chosen(document: PermissionsDocument, name: str, semantics: Semantics) -> Sequence[DocumentGrant]:
-    return () if semantics.refusal(document) else semantics.grants(document, name)
-
-
-def _to_prove(
-    task: PresentationTask, chosen: Mapping[str, Sequence[DocumentGrant]], holder: Holder, known: str
-) -> list[str]:
-    """Return the models whose claims are not proven with the enclave itself."""
-    if holder.name != known:
-        return [name for name, grants in chosen.items() if grants]
-    proven = shipped_models(task.distro or holder.distro)
-    return [name for name in chosen if name not in proven and not any(_alike(chosen, name, each) for each in proven)]
 
 
 def _alike(chosen: Mapping[str, Sequence[DocumentGrant]], name: str, other: str) -> bool:
@@ -194,10 +184,3 @@ def _claims(
     if not document.defects:
         dds_xml.know_valid(given.content, "permissions")
     yield from (each for each in prove_document(question, models=models) if each.proof is not Proof.PROVEN)
-
-
-def _unread(task: PresentationTask, given: PresentableDocument, reason: str) -> Iterator[ExcessRights]:
-    """Yield what is not known about a document that cannot be read; that of an enclave is reported with it."""
-    if not given.proven_for:
-        claims = tuple(Claim(name, "use", (), "", Proof.UNKNOWN, reason) for name in VARIATIONS)
-        yield from (ExcessRights(each, given, claims, each.until) for each in task.holders[:1])

@@ -85,29 +85,22 @@ def endpoint_edges(subject: str, distro: str, action: str, topic: str, partition
 
 
 def _is_about(rule: Rule, edge: Edge, partition: str) -> bool:
-    if not _in_partition(rule, edge, partition):
-        return False
-    return any(_matches(expression, name) for name in _names(rule, edge) for expression in rule.expressions)
+    """Tell whether a rule matches an edge; a composite rule matches its name without the suffix of its part."""
+    if rule.partitions:
+        if not any(_matches(expression, partition) for expression in rule.partitions):
+            return False
+    elif rule.effect is not Effect.DENY and any(edge.object.partitions):
+        return False  # an edge on a ROS name of Ardent has its partition in its name
+    name = edge.object.name
+    needed = (each for permission in rule.permissions for each in parts(rule.kind, permission))
+    suffixes = [end for kind, part, end in needed if (kind, part) == (edge.object.kind, edge.permission)]
+    names = [name.removesuffix(end) for end in suffixes if name.endswith(end)]
+    return any(_matches(expression, each) for each in names for expression in rule.expressions)
 
 
 def _matches(expression: str, name: str) -> bool:
     """Tell whether an expression matches a name, byte by byte."""
     return matches(octets.of_glob(glob.parse(expression)), dialects.in_bytes(name))
-
-
-def _names(rule: Rule, edge: Edge) -> Iterator[str]:
-    """Yield the names to match against a rule; for a composite rule, without the suffix of its part."""
-    for permission in rule.permissions:
-        for kind, part, suffix in parts(rule.kind, permission):
-            if (kind, part) == (edge.object.kind, edge.permission) and edge.object.name.endswith(suffix):
-                yield edge.object.name[: len(edge.object.name) - len(suffix)]
-
-
-def _in_partition(rule: Rule, edge: Edge, partition: str) -> bool:
-    if rule.partitions:
-        return any(_matches(expression, partition) for expression in rule.partitions)
-    # An edge on a ROS name of Ardent has its partition in its name.
-    return rule.effect is Effect.DENY or not any(edge.object.partitions)
 
 
 _DATE = "%Y-%m-%dT%H:%M:%S"
