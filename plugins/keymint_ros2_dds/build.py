@@ -61,23 +61,17 @@ def _check(package: Package) -> Iterator[Diagnostic]:
     if granted.subject_name != identity.subject_name and _canonical(granted.subject_name, granted.origin) != _canonical(
         identity.subject_name, identity.origin
     ):
-        yield Diagnostic.error(
-            "subject-mismatch",
-            f"the permissions are for {granted.subject_name!r}, but the identity is {package.identity.subject_name!r}",
-            granted.origin, "give both the same subject_name", package.subject,
-        )  # fmt: skip
+        message = f"the permissions are for {granted.subject_name!r}, but the identity is {identity.subject_name!r}"
+        help_ = "give both the same subject_name"
+        yield Diagnostic.error("subject-mismatch", message, granted.origin, help_, package.subject)
     if validity.not_after <= validity.not_before:
-        yield Diagnostic.error(
-            "validity-empty", "the permissions end before they begin",
-            granted.origin, "set not_after to a date after not_before", package.subject,
-        )  # fmt: skip
+        message, help_ = "the permissions end before they begin", "set not_after to a date after not_before"
+        yield Diagnostic.error("validity-empty", message, granted.origin, help_, package.subject)
+    where = granted.domains_origin or granted.origin
     for item in uncovered_domains(granted.domains, (each for rule in governance.domain_rules for each in rule.domains)):
-        yield Diagnostic.error(
-            "domain-uncovered",
-            f"the permissions are for {in_words([item])}, which the governance does not cover",
-            granted.domains_origin or granted.origin,
-            "add the domain to a domain rule of the governance, or remove it from these domains", package.subject,
-        )  # fmt: skip
+        message = f"the permissions are for {in_words([item])}, which the governance does not cover"
+        help_ = "add the domain to a domain rule of the governance, or remove it from these domains"
+        yield Diagnostic.error("domain-uncovered", message, where, help_, package.subject)
 
 
 @lru_cache(maxsize=4096)

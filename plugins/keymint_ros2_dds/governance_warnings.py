@@ -25,7 +25,6 @@ from keymint_ros2_dds.settings import DomainRule, TopicProtection, settings_of
 
 STATES = 20_000
 """States that a search may visit; topics that are not decided count as open."""
-_NONE = "NONE"
 UNPROTECTED = "governance-unprotected"
 """Code of the finding on topics that are neither signed nor encrypted; a user may trust the network."""
 
@@ -70,7 +69,7 @@ def _is_closed(rule: DomainRule) -> bool:
         rule.enable_join_access_control
         and not rule.allow_unauthenticated_participants
         and all(getattr(topic, tag) for topic in rule.topic_rules for tag in ACCESS.values())
-        and not any(_kinds(rule, topic) == {_NONE} for topic in rule.topic_rules)
+        and not any(_is_unprotected(rule, topic) for topic in rule.topic_rules)
     )
 
 
@@ -105,7 +104,7 @@ def _open_topics(
                 f"topics in {in_words(domains)}, also those that the policy does not allow"
             )
             yield "governance-open", text, topic.origin
-        if _kinds(rule, topic) == {_NONE}:
+        if _is_unprotected(rule, topic):
             text = (
                 f"nothing protects what {topic.expression!r} matches in {in_words(domains)} (rtps_, metadata_ and "
                 "data_protection_kind are NONE): whoever reaches the network can read and forge it"
@@ -114,8 +113,8 @@ def _open_topics(
         earlier += effective
 
 
-def _kinds(rule: DomainRule, topic: TopicProtection) -> set[str]:
-    return {rule.rtps_protection_kind, topic.metadata_protection_kind, topic.data_protection_kind}
+def _is_unprotected(rule: DomainRule, topic: TopicProtection) -> bool:
+    return {rule.rtps_protection_kind, topic.metadata_protection_kind, topic.data_protection_kind} == {"NONE"}
 
 
 def _allowed(lowered: Lowered, action: str, earlier: tuple[Glob, ...], patterns: tuple[Glob, ...]) -> bool:

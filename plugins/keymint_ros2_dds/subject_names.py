@@ -62,12 +62,11 @@ def render(name: x509.Name, where: Origin | None = None) -> str:
     shown = ",".join(f"{kind}={value}" for kind, value in escaped)
     tokens = sum(1 for token in re.split(r"[,/]", shown) if token)
     if has_empty_part(shown):
-        raise KeymintError(
-            f"Cyclone DDS refuses the subject name {shown}: nothing stands between two of its separators ',' and '/'",
-            where=where,
-            help="put a CN that ends with '/' first in the certificate: CN=/,OU=x1, which is OU=x1,CN=/ in the grant",
-            code="portability-subject-name",
+        message = (
+            f"Cyclone DDS refuses the subject name {shown}: nothing stands between two of its separators ',' and '/'"
         )
+        help_ = "put a CN that ends with '/' first in the certificate: CN=/,OU=x1, which is OU=x1,CN=/ in the grant"
+        raise KeymintError(message, where=where, help=help_, code="portability-subject-name")
     if tokens > MAX_TOKENS:
         raise _not_portable(
             f"has {tokens} parts between ',' and '/', the maximum is {MAX_TOKENS}: {shown[:60]}…", where
@@ -118,12 +117,9 @@ def parse_rendered(text: str) -> x509.Name:
 
 
 def _not_portable(problem: str, where: Origin | None) -> KeymintError:
-    return KeymintError(
-        f"the subject name {problem}, which DDS vendors compare differently",
-        where=where,
-        help="use letters, digits and '/', '_', '-', '.', '@', e.g. CN=/robot/camera,OU=x1",
-        code="portability-subject-name",
-    )
+    message = f"the subject name {problem}, which DDS vendors compare differently"
+    help_ = "use letters, digits and '/', '_', '-', '.', '@', e.g. CN=/robot/camera,OU=x1"
+    return KeymintError(message, where=where, help=help_, code="portability-subject-name")
 
 
 def same_name(grant: str, identity: str) -> bool:

@@ -144,30 +144,26 @@ def check_token_key(package: Package, *, allow_vendor_specific: bool) -> Iterato
     if not spec.key.uri:
         return
     if package.distro not in READS_KEY_URI:
-        yield Diagnostic.error(
-            "key-token-distro",
-            f"the key of the identity lies in a token, but ROS 2 {package.distro} reads keys from files only",
-            spec.origin, f"leave out <pkcs11>, or use {READS_KEY_URI[0]} or later", package.subject,
-        )  # fmt: skip
+        message = f"the key of the identity lies in a token, but ROS 2 {package.distro} reads keys from files only"
+        help_ = f"leave out <pkcs11>, or use {READS_KEY_URI[0]} or later"
+        yield Diagnostic.error("key-token-distro", message, spec.origin, help_, package.subject)
         return
     from keymint.pki.tokens.pkcs11_uri import parse  # noqa: PLC0415 - few packages need it
 
     if parse(spec.key.uri, spec.origin).module_path:
-        yield Diagnostic.error(
-            "key-token-module",
-            "the URI of the key names a module, but Fast DDS finds modules through p11-kit",
-            spec.origin, "leave out module-path; put the module into /etc/pkcs11/modules on the robot", package.subject,
-        )  # fmt: skip
+        message = "the URI of the key names a module, but Fast DDS finds modules through p11-kit"
+        help_ = "leave out module-path; put the module into /etc/pkcs11/modules on the robot"
+        yield Diagnostic.error("key-token-module", message, spec.origin, help_, package.subject)
     accepted = settings_of(package).accepts_token_keys
     severity = Severity.NOTE if accepted else Severity.WARNING if allow_vendor_specific else Severity.ERROR
-    yield Diagnostic(
-        "portability-key-token", severity,
+    message = (
         f"the key of the identity lies in a token; only Fast DDS reads {KEY_URI}, through rmw_fastrtps: with Cyclone "
-        f"DDS the node finds no {KEY} and does not start",
-        spec.origin,
-        "the profile accepts it" if accepted else f"leave out <pkcs11>; or, where only Fast DDS runs, write {ACCEPT}",
-        package.subject,
-    )  # fmt: skip
+        f"DDS the node finds no {KEY} and does not start"
+    )
+    help_ = (
+        "the profile accepts it" if accepted else f"leave out <pkcs11>; or, where only Fast DDS runs, write {ACCEPT}"
+    )
+    yield Diagnostic("portability-key-token", severity, message, spec.origin, help_, package.subject)
 
 
 def is_key_uri(content: bytes | None, uri: str) -> bool:

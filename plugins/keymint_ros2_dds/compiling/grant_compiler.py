@@ -176,24 +176,19 @@ class _PortabilityReport:
 
 def vendor_notes(rules: Sequence[GrantRule[str]], permissions: Grant) -> Iterator[Diagnostic]:
     """Yield notes on what only some vendors do differently with the rules, once for a package."""
-    subject = permissions.rules.subject
+    subject, where = permissions.rules.subject, permissions.origin
     if not rules:
-        yield Diagnostic.note(
-            "no-permissions", f"{subject} is allowed nothing, so it may not join a domain either",
-            permissions.origin, "allow something if it is to take part", subject,
-        )  # fmt: skip
+        message = f"{subject} is allowed nothing, so it may not join a domain either"
+        yield Diagnostic.note("no-permissions", message, where, "allow something if it is to take part", subject)
     if any(TopicAction.RELAY in rule.topics for rule in rules):
-        yield Diagnostic.warning(
-            "vendor-relay", "Cyclone DDS and OpenDDS ignore permissions to relay",
-            permissions.origin, "do not rely on them there", subject,
-        )  # fmt: skip
+        message = "Cyclone DDS and OpenDDS ignore permissions to relay"
+        yield Diagnostic.warning("vendor-relay", message, where, "do not rely on them there", subject)
     expressions = {text for rule in rules for text in rule.every_topic()}
     infix = sorted(text for text in expressions - {GUARD} if "*" in text[:-1] or "[" in text)
     if infix:
         option = "; --no-optimise writes out the names that share an expression" if GUARD in expressions else ""
-        yield Diagnostic.note(
-            "vendor-wildcard",
+        message = (
             f"OpenDDS and RTI Connext may not match a '*' before the end of an expression, or a bracket expression "
-            f"({len(infix)} here, e.g. {infix[0]!r})",
-            permissions.origin, f"Cyclone DDS and Fast DDS do{option}", subject,
-        )  # fmt: skip
+            f"({len(infix)} here, e.g. {infix[0]!r})"
+        )
+        yield Diagnostic.note("vendor-wildcard", message, where, f"Cyclone DDS and Fast DDS do{option}", subject)

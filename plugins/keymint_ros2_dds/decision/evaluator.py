@@ -319,14 +319,11 @@ class DomainAccess:
         absent = self.absent(evaluator)
         if absent is not None or self.rule is None:
             return absent or Verdict(allowed=False, reason=self.refusal)
-        rule = topic_rule(self.rule, topic, self._semantics)
+        rule, place = topic_rule(self.rule, topic, self._semantics), self._document.place
         if rule is None:
-            where = self._document.place(self.rule.line)
-            return Verdict(False, f"no topic rule matches {topic!r}", where)
+            return Verdict(False, f"no topic rule matches {topic!r}", place(self.rule.line))
         if not rule.controls(action):
-            where = self._document.place(rule.line)
-            reason = f"{ACCESS[action]} is false for {rule.expression!r}"
-            return Verdict(True, reason, where)
+            return Verdict(True, f"{ACCESS[action]} is false for {rule.expression!r}", place(rule.line))
         return evaluator.decide(action, topic, partitions, topic_checked=rule.controlled)
 
     def absent(self, evaluator: DocumentEvaluator) -> Verdict | None:

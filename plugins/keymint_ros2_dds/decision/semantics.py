@@ -154,9 +154,7 @@ class Semantics:
     def applies(self, rule: DocumentRule, domain: int) -> bool:
         """Return whether a rule applies in a domain."""
         exact = self.min_only_is_exact
-        return not self.domains_count or any(
-            domains.contain(domain, min_only_is_exact=exact) for domains in rule.domains
-        )
+        return not self.domains_count or any(each.contain(domain, min_only_is_exact=exact) for each in rule.domains)
 
     def period(self, grant: DocumentGrant) -> tuple[datetime, datetime] | None:
         """Return the period of validity of a grant, both ends included; None if it is never valid."""

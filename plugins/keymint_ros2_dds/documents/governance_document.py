@@ -84,14 +84,11 @@ def _check(governance: DdsSettings, lenient: bool) -> Iterator[Diagnostic]:
     for rule in governance.domain_rules:
         yield from check_domains(rule.domains, rule.domains_origin or rule.origin, "")
         if rule.allow_unauthenticated_participants and rule.rtps_protection_kind != "NONE":
-            yield Diagnostic(
-                "portability-unauthenticated",
-                Severity.WARNING if lenient else Severity.ERROR,
-                "allow_unauthenticated_participants is true, but rtps_protection_kind is "
-                f"{rule.rtps_protection_kind}: Fast DDS refuses to start",
-                rule.origin,
-                "set rtps_protection_kind to NONE, or do not allow unauthenticated participants",
-            )
+            severity, kind = Severity.WARNING if lenient else Severity.ERROR, rule.rtps_protection_kind
+            what = f"allow_unauthenticated_participants is true, but rtps_protection_kind is {kind}"
+            message = f"{what}: Fast DDS refuses to start"
+            help_ = "set rtps_protection_kind to NONE, or do not allow unauthenticated participants"
+            yield Diagnostic("portability-unauthenticated", severity, message, rule.origin, help_)
 
 
 def _domain_rule(parent: etree._Element, rule: DomainRule, distro: str, lenient: bool) -> Iterator[Diagnostic]:
@@ -107,28 +104,26 @@ def _domain_rule(parent: etree._Element, rule: DomainRule, distro: str, lenient:
             continue
         effective = [pattern for pattern in topic_patterns if not union_covers(tuple(covered), pattern)]
         if not effective:
-            yield Diagnostic.warning(
-                "governance-shadowed",
-                f"the {topic.kind} rule for {topic.expression!r} has no effect: the rules before it match all of it",
-                topic.origin, "put it before the wider rules, or remove it",
-            )  # fmt: skip
+            message = (
+                f"the {topic.kind} rule for {topic.expression!r} has no effect: the rules before it match all of it"
+            )
+            help_ = "put it before the wider rules, or remove it"
+            yield Diagnostic.warning("governance-shadowed", message, topic.origin, help_)
         if distro == ARDENT and topic.kind != "topic":
-            yield Diagnostic.note(
-                "governance-base-name",
+            message = (
                 f"DDS topics of ROS 2 Ardent have base names only: the {topic.kind} rule for {topic.expression!r} "
-                "applies to topics of the same base name in every namespace",
-                topic.origin, "use the same protection in all rules on one base name",
-            )  # fmt: skip
+                "applies to topics of the same base name in every namespace"
+            )
+            help_ = "use the same protection in all rules on one base name"
+            yield Diagnostic.note("governance-base-name", message, topic.origin, help_)
         for pattern in effective:
             yield from _topic_rules(topics, pattern, topic, lenient)
         covered += effective
     if not union_covers(tuple(covered), EVERYTHING):
         last = rule.topic_rules[-1].origin if rule.topic_rules else rule.origin
-        yield Diagnostic.warning(
-            "governance-open-end",
-            "no topic rule matches every topic; a last one is added for '*', with access control and encryption",
-            last, "end with a rule for '*' that says how all other topics are protected",
-        )  # fmt: skip
+        message = "no topic rule matches every topic; a last one is added for '*', with access control and encryption"
+        help_ = "end with a rule for '*' that says how all other topics are protected"
+        yield Diagnostic.warning("governance-open-end", message, last, help_)
         dds_xml.topic_rule(topics, "*", STRICT_TOPIC)
 
 

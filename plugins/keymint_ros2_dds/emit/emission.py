@@ -11,7 +11,7 @@ about relaying are not covered either, so subjects that have some are compiled h
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 
 from comarmor.errors import Diagnostic
 from comarmor.patterns.steps import step_limit
@@ -98,7 +98,11 @@ def _refusing(package: Package) -> str:
 def _smallest_proven(
     package: Package, options: BuildOptions, compiled: Compiled, models: tuple[str, ...] | None
 ) -> Emitted:
-    """Return the document in its first form that is proven, else in its plain form."""
+    """Return the document in its first form that is proven, else in its plain form.
+
+    Raises:
+        KeymintError: the plain form is refuted although all vendors should read it in the same way.
+    """
     diagnostics: list[Diagnostic] = []
     smaller = [form for form in compiled.forms if form != compiled.plain] if options.optimise else []
     for rules in (*smaller, compiled.plain):
@@ -111,7 +115,13 @@ def _smallest_proven(
         what = "the smaller form of the permissions is"
         diagnostics.append(_unproven(package, "rewriting-unproven", what, open_claims[0], help_))
     diagnostics += compiled.diagnostics
-    diagnostics += _plain_unproven(package, compiled, open_claims)
+    for claim in open_claims[:1]:
+        help_ = "'keymint prove' may decide it with more time"
+        finding = _unproven(package, "compile-unproven", "the permissions are", claim, help_)
+        if compiled.portable and claim.proof is Proof.COUNTEREXAMPLE:
+            help_ = "this is a defect of Keymint: simplify the rules, and report it"
+            raise KeymintError(finding.message, where=package.grant.origin, help=help_, code="compile-refuted")
+        diagnostics.append(finding)
     diagnostics += vendor_notes(rules, package.grant)
     dds_xml.require_valid(document, PERMISSIONS, PERMISSIONS_XML)
     plain = document if rules == compiled.plain else permissions_document.render(package.grant, compiled.plain)
@@ -127,33 +137,12 @@ def comparison(package: Package, document: bytes) -> ComparisonTask:
 
 
 def _unproven(package: Package, code: str, what: str, claim: Claim, help_: str) -> Diagnostic:
-    message = f"{what} not proven to mean what the rules mean: {_reason(claim)}"
+    reason = f"{claim.model}, {claim.action}: {claim.reason}"
+    if example := claim.counterexample:
+        verb = "permits" if example.document.allowed else "does not permit"
+        reason = f"{claim.model} {verb} it to {claim.action} {example.endpoint.name!r}"
+    message = f"{what} not proven to mean what the rules mean: {reason}"
     return Diagnostic.warning(code, message, package.grant.origin, help_, package.subject)
-
-
-def _plain_unproven(package: Package, compiled: Compiled, open_claims: Sequence[Claim]) -> Iterator[Diagnostic]:
-    """Yield a warning for a document that is not proven.
-
-    Raises:
-        KeymintError: it is refuted although all vendors should read it in the same way.
-    """
-    for claim in open_claims[:1]:
-        help_ = "'keymint prove' may decide it with more time"
-        finding = _unproven(package, "compile-unproven", "the permissions are", claim, help_)
-        if compiled.portable and claim.proof is Proof.COUNTEREXAMPLE:
-            raise KeymintError(
-                finding.message, where=package.grant.origin, code="compile-refuted",
-                help="this is a defect of Keymint: simplify the rules, and report it",
-            )  # fmt: skip
-        yield finding
-
-
-def _reason(claim: Claim) -> str:
-    example = claim.counterexample
-    if example is None:
-        return f"{claim.model}, {claim.action}: {claim.reason}"
-    verb = "permits" if example.document.allowed else "does not permit"
-    return f"{claim.model} {verb} it to {claim.action} {example.endpoint.name!r}"
 
 
 Compilation = tuple[tuple[GrantRule[str], ...], int, tuple[Claim, ...]]

@@ -23,7 +23,7 @@ from comarmor.values import dataclass
 from keymint.api import BuildOptions, Claim, DomainRange, Grant, Package, Validity
 from keymint.errors import KeymintError
 from keymint.ir import Arguments, Kind, kind_of
-from keymint_ros2_dds.compiling.grant_compiler import Compiled, vendor_notes
+from keymint_ros2_dds.compiling.grant_compiler import vendor_notes
 from keymint_ros2_dds.compiling.rewriting import gathered_rules
 from keymint_ros2_dds.decision.semantics import VARIATIONS
 from keymint_ros2_dds.documents import dds_xml, permissions_document
@@ -218,7 +218,9 @@ def emit_by_kind(package: Package, options: BuildOptions) -> Emitted:
     with step_limit(None) as counter:
         emitted = emit(package, options)
     compiled = emitted.compiled
-    if compiled is not None and counter.spent <= FEW_STEPS and _is_minimal(package, emitted, compiled):
+    # Only a minimal document that is not gathered, and usual, is a template.
+    minimal = compiled is not None and compiled.portable and (emitted.rules,) == compiled.forms
+    if compiled is not None and minimal and counter.spent <= FEW_STEPS and emitted.is_usual(package.grant):
         made = _Made(arguments, emitted.rules, compiled.plain, emitted.claims, bool(emitted.diagnostics))
         if members is not None:
             members.keep(made)
@@ -227,11 +229,6 @@ def emit_by_kind(package: Package, options: BuildOptions) -> Emitted:
                 _known.pop(next(iter(_known)))
             _known[key] = _Members(made)
     return emitted
-
-
-def _is_minimal(package: Package, emitted: Emitted, compiled: Compiled) -> bool:
-    """Tell whether a document of the engine is minimal, not gathered, and usual."""
-    return compiled.portable and (emitted.rules,) == compiled.forms and emitted.is_usual(package.grant)
 
 
 def with_renamed_topics(rules: Sequence[GrantRule[str]], names: Mapping[str, str]) -> tuple[GrantRule[str], ...]:

@@ -154,12 +154,10 @@ def _shared_grants(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:
     for number, (inspection, name, tokens) in enumerate(subjects):
         for other in sorted(set.intersection(*(holders[token] for token in tokens)) - {number}):
             granted = subjects[other][0].package.subject
-            yield Diagnostic.warning(
-                "names-confused",
-                f"on Cyclone DDS the identity {name!r} can use the permissions of {granted}",
-                Origin(f"{inspection.folder}/{layout.CERTIFICATE}"),
-                "give each subject_name an RDN that no other has, e.g. OU={unique}", inspection.package.subject,
-            )  # fmt: skip
+            message = f"on Cyclone DDS the identity {name!r} can use the permissions of {granted}"
+            where = Origin(f"{inspection.folder}/{layout.CERTIFICATE}")
+            help_ = "give each subject_name an RDN that no other has, e.g. OU={unique}"
+            yield Diagnostic.warning("names-confused", message, where, help_, inspection.package.subject)
 
 
 def _subject(inspection: Inspection) -> str:
@@ -177,13 +175,12 @@ def _shared_authorities(inspections: Sequence[Inspection]) -> Iterator[Diagnosti
             # Where enclaves have no file for a second authority, the user cannot act on it.
             one = layout.has_one_authority(inspection.layout, inspection.package.distro)
             severity = Severity.NOTE if one else Severity.WARNING
-            yield Diagnostic(
-                "authority-shared", severity,
+            message = (
                 f"the authority {inspection.package.grant.issuer!r} issues identities and signs permissions: on "
-                "older releases of DDS implementations an identity can sign permissions for itself (CVE-2023-24010)",
-                Origin(f"{inspection.folder}/{layout.CERTIFICATE}"),
-                "use two authorities", inspection.package.subject,
-            )  # fmt: skip
+                "older releases of DDS implementations an identity can sign permissions for itself (CVE-2023-24010)"
+            )
+            where, subject = Origin(f"{inspection.folder}/{layout.CERTIFICATE}"), inspection.package.subject
+            yield Diagnostic("authority-shared", severity, message, where, "use two authorities", subject)
 
 
 def _different_authorities(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:
@@ -191,9 +188,9 @@ def _different_authorities(inspections: Sequence[Inspection]) -> Iterator[Diagno
     for inspection in inspections[1:]:
         first = inspections[0]
         if inspection.chains[layout.PERMISSIONS_ROLE] != first.chains[layout.PERMISSIONS_ROLE]:
-            yield Diagnostic.warning(
-                "authorities-differ",
+            message = (
                 f"its permissions are signed by {inspection.package.grant.issuer!r}, those of "
-                f"{first.package.subject} by {first.package.grant.issuer!r}: on Fast DDS they cannot communicate",
-                Origin(inspection.folder), "sign all permissions by one authority", inspection.package.subject,
-            )  # fmt: skip
+                f"{first.package.subject} by {first.package.grant.issuer!r}: on Fast DDS they cannot communicate"
+            )
+            where, help_ = Origin(inspection.folder), "sign all permissions by one authority"
+            yield Diagnostic.warning("authorities-differ", message, where, help_, inspection.package.subject)

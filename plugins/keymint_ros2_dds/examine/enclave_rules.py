@@ -157,9 +157,8 @@ class EnclaveRules(IdentityCheck):
             anchors: what the enclave must rest on; its certificate may have any name if they have none.
             needed: names of the files that it must have.
         """
-        known = (
-            {layout.KEY_URI} if vendor_limits.is_key_uri(self._files.get(layout.KEY_URI), anchors.key_uri) else set()
-        )
+        own_uri = self._files.get(layout.KEY_URI)
+        known = {layout.KEY_URI} if vendor_limits.is_key_uri(own_uri, anchors.key_uri) else set()
         for name in sorted(self._files.keys() & IN_PLACE_OF.keys() - known):
             what = f"replaces {IN_PLACE_OF[name]} in ROS 2 Jazzy and later"
             yield self._error("file-replaced", name, f"{what}, and Keymint cannot check what it refers to", "remove it")

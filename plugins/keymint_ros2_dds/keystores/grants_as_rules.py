@@ -112,14 +112,12 @@ def _grant(
         )
         raise _unsayable(message, document.place(eras[1].grant.line), "sign a document with one grant")
     grant = eras[0].grant if eras else None
+    message, help_ = f"this grant of {quote(name)} is never in force, and is not learned", "remove it from the document"
     findings = [
-        Diagnostic.warning(
-            "learn-grant", f"this grant of {quote(name)} is never in force, and is not learned",
-            document.place(each.line), "remove it from the document", subject
-        )
+        Diagnostic.warning("learn-grant", message, document.place(each.line), help_, subject)
         for each in own
         if each is not grant
-    ]  # fmt: skip
+    ]
     if not own:
         message = f"no grant is for {quote(name)}, so the enclave is permitted nothing"
         help_ = "sign a document for this name"

@@ -169,12 +169,9 @@ def places(contents: Contents) -> tuple[str, tuple[EnclavePlace, ...], tuple[str
         return "flat", found, tuple(path for path in files if path in _TOP or path.startswith(folders))
     if found := tuple(sorted(_by_content(contents), key=lambda each: each.subject)):
         return "", found, ()
-    raise KeymintError(
-        "has no enclave: neither a folder with cert.pem, nor a certificate and signed permissions for its subject",
-        where=contents.place(""),
-        help="name the folder that ROS_SECURITY_KEYSTORE names, or one with all certificates and signed documents",
-        code="keystore-unknown",
-    )
+    message = "has no enclave: neither a folder with cert.pem, nor a certificate and signed permissions for its subject"
+    help_ = "name the folder that ROS_SECURITY_KEYSTORE names, or one with all certificates and signed documents"
+    raise KeymintError(message, where=contents.place(""), help=help_, code="keystore-unknown")
 
 
 def _named(files: Mapping[str, KeystoreFile], top: str, is_searched: Callable[[str], bool]) -> Iterator[EnclavePlace]:

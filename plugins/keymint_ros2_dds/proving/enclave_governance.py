@@ -234,15 +234,10 @@ def _refuted(
     action: str, topic: str, reason: str, where: Origin, help_: str,
 ) -> api.Claim:  # fmt: skip
     universe, expected = _CLAIMED[action]
-    example = api.Counterexample(
-        api.Endpoint(task.rules.subject, action, topic, domain=domains.first),
-        None,
-        api.PolicyDecision(allowed=False, where=None, reason=Reason((expected,))),
-        api.Verdict(allowed=True, reason=reason, where=where),
-        help_,
-        where,
-        expected,
-    )
+    endpoint = api.Endpoint(task.rules.subject, action, topic, domain=domains.first)
+    policy = api.PolicyDecision(allowed=False, where=None, reason=Reason((expected,)))
+    verdict = api.Verdict(allowed=True, reason=reason, where=where)
+    example = api.Counterexample(endpoint, None, policy, verdict, help_, where, expected)
     return api.Claim(variation.name, action, (domains,), universe, api.Proof.COUNTEREXAMPLE, "", example)
 
 

@@ -162,14 +162,9 @@ class Counterexamples:
         place, help_ = None, ""
         if governance is not None and verdict.where is not None and verdict.where.file == governance.document.file:
             place, help_ = verdict.where, enclave_governance.help_for(governance, domain)
-        example = Counterexample(
-            Endpoint(rules.subject, action, topic, edges[0].object.partitions, domain),
-            next((edge for edge in edges[1:] if is_ros_name(edge.object.name)), None),
-            policy,
-            verdict,
-            help_,
-            place,
-        )
+        endpoint = Endpoint(rules.subject, action, topic, edges[0].object.partitions, domain)
+        entity = next((edge for edge in edges[1:] if is_ros_name(edge.object.name)), None)
+        example = Counterexample(endpoint, entity, policy, verdict, help_, place)
         agree = policy.allowed is not permitted and verdict.allowed is permitted
         defect = f"the engine and the plain evaluators disagree on {topic!r}: a defect of Keymint"
         return example, "" if agree else defect
