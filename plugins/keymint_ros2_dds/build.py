@@ -4,9 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import lru_cache
 
-from comarmor.errors import Defects, Diagnostic, Origin, Severity
+from comarmor.errors import Defects, Diagnostic, Severity
 from keymint.api import BuildOptions, BuildResult, Package
 from keymint.errors import KeymintError
 from keymint.pki import distinguished_names
@@ -58,8 +57,10 @@ def _check(package: Package) -> Iterator[Diagnostic]:
     governance = settings_of(package)
     validity = validity_of(granted)
     identity = package.identity
-    if granted.subject_name != identity.subject_name and _canonical(granted.subject_name, granted.origin) != _canonical(
-        identity.subject_name, identity.origin
+    names = {granted.subject_name: granted.origin, identity.subject_name: identity.origin}
+    if (
+        len(names) > 1
+        and len({distinguished_names.to_text(distinguished_names.parse(*each)) for each in names.items()}) > 1
     ):
         message = f"the permissions are for {granted.subject_name!r}, but the identity is {identity.subject_name!r}"
         help_ = "give both the same subject_name"
@@ -72,8 +73,3 @@ def _check(package: Package) -> Iterator[Diagnostic]:
         message = f"the permissions are for {in_words([item])}, which the governance does not cover"
         help_ = "add the domain to a domain rule of the governance, or remove it from these domains"
         yield Diagnostic.error("domain-uncovered", message, where, help_, package.subject)
-
-
-@lru_cache(maxsize=4096)
-def _canonical(name: str, origin: Origin) -> str:
-    return distinguished_names.to_text(distinguished_names.parse(name, origin))

@@ -23,14 +23,9 @@ from comarmor.patterns.tokens import Dialect
 from comarmor.values import dataclass
 from keymint.api import Verdict
 from keymint_ros2_dds.decision.semantics import OMG, Semantics, TopicCheck, Variation
-from keymint_ros2_dds.reading import dialects
+from keymint_ros2_dds.reading import dialects, signed_permissions
 from keymint_ros2_dds.reading.signed_governance import ACCESS, DocumentDomainRule, DocumentTopicRule, GovernanceDocument
-from keymint_ros2_dds.reading.signed_permissions import (
-    DocumentCriteria,
-    DocumentGrant,
-    DocumentRule,
-    PermissionsDocument,
-)
+from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, DocumentRule, PermissionsDocument
 
 DEFAULT_PARTITION = ("",)
 _NO_GRANT = DocumentGrant("", "", "", (), allows=False, line=0)
@@ -247,14 +242,16 @@ def _grant(
 def _steps(rules: Iterable[DocumentRule], semantics: Semantics) -> Iterator[_CriteriaStep]:
     """Yield groups of criteria that are matched together: each alone, or all of an action."""
     for rule in rules:
-        groups: dict[object, list[DocumentCriteria]] = {}
+        groups: dict[object, list[signed_permissions.DocumentCriteria]] = {}
         for number, criteria in enumerate(rule.criteria):
             groups.setdefault(criteria.action if semantics.pools_criteria else number, []).append(criteria)
         for group in groups.values():
             yield _step(rule, group, semantics)
 
 
-def _step(rule: DocumentRule, group: Sequence[DocumentCriteria], semantics: Semantics) -> _CriteriaStep:
+def _step(
+    rule: DocumentRule, group: Sequence[signed_permissions.DocumentCriteria], semantics: Semantics
+) -> _CriteriaStep:
     unlisted = any(item.partitions is None for item in group)
     everywhere = not rule.allows and (semantics.deny_topic or (unlisted and not semantics.deny_default))
     partitions = (p for item in group for p in (DEFAULT_PARTITION if item.partitions is None else item.partitions))

@@ -32,14 +32,7 @@ def render(permissions: Grant, rules: Sequence[GrantRule[str]]) -> bytes:
     Raises:
         KeymintError: the subject's name, a date or a domain cannot be expressed portably across DDS vendors.
     """
-    _check(permissions)
-    name = subject_name_of(permissions)
-    return dds_xml.indented_if_small(lambda indent: _text(permissions, name, rules, indent))
-
-
-def _check(permissions: Grant) -> None:
-    subject = permissions.rules.subject
-    period = validity_of(permissions)
+    subject, period = permissions.rules.subject, validity_of(permissions)
     problems = [*check_domains(permissions.domains, permissions.domains_origin or permissions.origin, subject)]
     if period.not_after.year > _MAX_YEAR:
         message = f"the permissions end in the year {period.not_after.year}, which Cyclone DDS reads as expired"
@@ -47,6 +40,8 @@ def _check(permissions: Grant) -> None:
         problems.append(Diagnostic.error("portability-date", message, permissions.origin, help_, subject))
     if problems:
         raise KeymintError.of(problems)
+    name = subject_name_of(permissions)
+    return dds_xml.indented_if_small(lambda indent: _text(permissions, name, rules, indent))
 
 
 def _text(permissions: Grant, name: str, rules: Sequence[GrantRule[str]], indent: str) -> str:

@@ -233,14 +233,11 @@ def emit_by_kind(package: Package, options: BuildOptions) -> Emitted:
 
 def with_renamed_topics(rules: Sequence[GrantRule[str]], names: Mapping[str, str]) -> tuple[GrantRule[str], ...]:
     """Return rules with other names of topics, each list sorted as the compiler does."""
-    return tuple(
-        GrantRule(
-            rule.effect,
-            rule.partitions,
-            {action: tuple(sorted(names.get(text, text) for text in texts)) for action, texts in rule.topics.items()},
-        )
-        for rule in rules
-    )
+    renamed: list[GrantRule[str]] = []
+    for rule in rules:
+        own = {action: tuple(sorted(names.get(text, text) for text in texts)) for action, texts in rule.topics.items()}
+        renamed.append(GrantRule(rule.effect, rule.partitions, own))
+    return tuple(renamed)
 
 
 def _by_renaming(package: Package, kind: Kind, arguments: Arguments, members: _Members) -> Emitted | None:

@@ -131,7 +131,9 @@ class _Enclave(EnclaveRules):
             package_name(self._subject or "/x")
         except KeymintError as error:
             message = error.diagnostics[0].message
-            yield self._contents.error("adopt-path", self._folder, message, "give the enclave another path")
+            yield Diagnostic.error(
+                "adopt-path", message, self._contents.place(self._folder), "give the enclave another path"
+            )
         if self.certificate is not None:
             yield from self._common_name(to_text(self.certificate.subject))
         if layout.KEY not in self._files:
@@ -301,4 +303,4 @@ def exposure(contents: Contents, path: str, subject: str) -> Iterator[Diagnostic
         message = f"is a private key with mode {mode:04o}: others could read it, so it counts as exposed"
         end = f"'keymint renew --rekey {name_of(subject)}'" if subject else "'keymint authority replace'"
         help_ = f"chmod 600, here and on the robot; {end} ends it if someone may have copied it"
-        yield contents.warning("adopt-key-exposed", path, message, help_)
+        yield Diagnostic.warning("adopt-key-exposed", message, contents.place(path), help_)

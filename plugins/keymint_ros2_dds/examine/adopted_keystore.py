@@ -14,7 +14,7 @@ from typing import Any
 
 from cryptography import x509
 
-from comarmor.errors import Diagnostic
+from comarmor.errors import Diagnostic, Origin
 from comarmor.text import quantity
 from keymint.api import FoundAuthority, FoundEnclave, FoundKeystore, KeystoreFiles, TrustAnchor
 from keymint.errors import KeymintError
@@ -92,12 +92,12 @@ def _defaults(
             message = f"protects other topics or domains than the governance of {first.subject}, {content.place(path)}"
             help_ = "all participants of a domain need the same: adopt these enclaves as a keystore of their own"
             own = other.files[layout.GOVERNANCE_P7S]
-            findings.append(content.error("adopt-governance", own, message, help_, other.subject))
+            findings.append(Diagnostic.error("adopt-governance", message, content.place(own), help_, other.subject))
     made = foreign_documents.governance_source(document, signer)
     if made is None:
         message = "has several domain rules, and a profile's defaults have one"
         help_ = "sign a governance with one domain rule, which may have several domains"
-        findings.append(content.error("adopt-governance", path, message, help_))
+        findings.append(Diagnostic.error("adopt-governance", message, content.place(path), help_))
         return {}, findings
     return {layout.GOVERNANCE: made}, findings
 
@@ -119,14 +119,14 @@ def _in_the_way(
         if content.read(path) in secrets:
             message = "has the private key of an authority, and participants read this file"
             help_ = "give the enclave a key of its own, and leave the authority's to private/"
-            yield content.error("adopt-key-shared", path, message, help_, enclave.subject)
+            yield Diagnostic.error("adopt-key-shared", message, content.place(path), help_, enclave.subject)
     sealed = set(map(content.read, content.sealed))
     for path in kept:
         if path in own or content.read(path) not in sealed:
             continue
         message = "has a private key that cannot be read, perhaps an authority's, where robots' files are taken from"
         help_ = "move it out of that folder, e.g. to private/, if no robot needs it; else decrypt it (openssl pkey)"
-        yield content.error("adopt-key-sealed", path, message, help_)
+        yield Diagnostic.error("adopt-key-sealed", message, content.place(path), help_)
 
 
 def _doubled(content: Contents, enclaves: Sequence[FoundEnclave]) -> Iterator[Diagnostic]:
@@ -139,7 +139,8 @@ def _doubled(content: Contents, enclaves: Sequence[FoundEnclave]) -> Iterator[Di
             if other is not each:
                 message = f"has {what}, like {other.subject} ({other.facts['place']})"
                 help_ = "each enclave needs a name and a key of its own: remove one, or make a new key for it"
-                yield content.error("adopt-doubled", str(each.facts["place"]), message, help_, each.subject)
+                where = content.place(str(each.facts["place"]))
+                yield Diagnostic.error("adopt-doubled", message, where, help_, each.subject)
 
 
 # -- authorities ------------------------------------------------------------------------------------------------------
@@ -174,7 +175,7 @@ def _authorities(
     if len({each.facts["fingerprint"] for each in found}) < len(found):
         message = "both authorities have one and the same key"
         help_ = "make a certificate for one of them alone the file of both"
-        findings.append(contents.error("adopt-authority-key", found[0].file, message, help_))
+        findings.append(Diagnostic.error("adopt-authority-key", message, contents.place(found[0].file), help_))
     return tuple(found), findings
 
 
@@ -188,19 +189,20 @@ def _authority(contents: Contents, path: str, roles: tuple[str, ...]) -> tuple[F
     if content != certificates.to_pem(certificate):
         message = "has text around its certificate, or encodes it in another way; enclaves would get another file"
         help_ = f"rewrite it, here and on the robots: openssl x509 -in {where} -out {where}"
-        findings.append(contents.error("adopt-encoding", path, message, help_))
+        findings.append(Diagnostic.error("adopt-encoding", message, where, help_))
     if not certificates.is_issued_by(certificate, certificate):
         message = f"was issued by {to_text(certificate.issuer)!r}, and not by itself"
         help_ = "Keymint takes over self-signed authorities only; Cyclone DDS refuses others as well"
-        findings.append(contents.error("adopt-intermediate", path, message, help_))
+        findings.append(Diagnostic.error("adopt-intermediate", message, where, help_))
     name, end = BOTH if len(roles) > 1 else _NAMES[roles[0]], certificate.not_valid_after_utc
     if end < contents.keystore.now:
         message = f"expired on {end:%Y-%m-%d}: no participant starts"
         help_ = f"'keymint authority renew {name}' afterwards"
-        findings.append(contents.warning("adopt-authority-expired", path, message, help_))
+        findings.append(Diagnostic.warning("adopt-authority-expired", message, where, help_))
     key_paths = contents.keys_of(certificate)
-    findings += _about_key(contents, key_paths, name, path)
-    findings += _lacking(certificate, roles, path, name, contents)
+    for each in key_paths:
+        findings += exposure(contents, each, "")
+    findings += _improvable(contents, certificate, roles, name, where)
     public = certificates.public_key(certificate)
     kind = keys.kind_of(public)
     facts: dict[str, Any] = {
@@ -219,33 +221,29 @@ def _authority(contents: Contents, path: str, roles: tuple[str, ...]) -> tuple[F
     return FoundAuthority(name, roles, content, path, key, tuple(key_paths), facts, exposed), findings
 
 
-def _about_key(contents: Contents, key_paths: Sequence[str], name: str, path: str) -> Iterator[Diagnostic]:
-    for each in key_paths:
-        yield from exposure(contents, each, "")
-    if key_paths:
-        return
-    message = f"has no private key here: the authority {name!r} is taken over without it, and signs nothing here"
-    help_ = f"'keymint authority import {name} {contents.place(path)} --key FILE' brings it later"
-    if contents.sealed:
-        names = ", ".join(str(contents.place(each)) for each in contents.sealed)
-        help_ = f"if it is one of {names}, which are encrypted or containers: decrypt it (openssl pkey), then {help_}"
-    yield contents.note("adopt-authority-elsewhere", path, message, help_)
-
-
-def _lacking(
-    certificate: x509.Certificate, roles: Sequence[str], path: str, name: str, contents: Contents
+def _improvable(
+    contents: Contents, certificate: x509.Certificate, roles: Sequence[str], name: str, where: Origin
 ) -> Iterator[Diagnostic]:
-    """Yield a note for what the certificate lacks, or has too much of; each is the matter of a later step."""
+    """Yield a note for a private key that is not here, and for what the certificate lacks, or has too much of.
+
+    Each is the matter of a later step.
+    """
+    if not contents.keys_of(certificate):
+        message = f"has no private key here: the authority {name!r} is taken over without it, and signs nothing here"
+        help_ = f"'keymint authority import {name} {where} --key FILE' brings it later"
+        if names := ", ".join(str(contents.place(each)) for each in contents.sealed):
+            which = f"if it is one of {names}, which are encrypted or containers"
+            help_ = f"{which}: decrypt it (openssl pkey), then {help_}"
+        yield Diagnostic.note("adopt-authority-elsewhere", message, where, help_)
     if len(roles) > 1:
         message = (
             "issues identities and signs permissions: on old vendors, any identity can sign permissions for itself"
         )
         help_ = "CVE-2023-24010; 'keymint harden authority' makes a second one afterwards"
-        yield contents.note("adopt-one-authority", path, message, help_)
-    lacks = ", and ".join(each.message for each in foreign_authorities.defects(certificate, name, contents.place(path)))
+        yield Diagnostic.note("adopt-one-authority", message, where, help_)
+    lacks = ", and ".join(each.message for each in foreign_authorities.defects(certificate, name, where))
     if lacks:
-        help_ = "'keymint harden identifiers' adds it afterwards"
-        yield contents.note("adopt-extensions", path, lacks, help_)
+        yield Diagnostic.note("adopt-extensions", lacks, where, "'keymint harden identifiers' adds it afterwards")
 
 
 # -- revocation lists -----------------------------------------------------------------------------------------------
@@ -272,14 +270,14 @@ def _newest_list(
             if path not in used:  # else it is reported with the enclave
                 message = f"is no revocation list of the authority {issuer.name!r}"
                 help_ = "nothing, if it concerns no identity of this keystore; it is not taken over"
-                findings.append(contents.warning(_REVOCATIONS, path, message, help_))
+                findings.append(Diagnostic.warning(_REVOCATIONS, message, contents.place(path), help_))
             continue
         try:
             lists[path] = revocation_lists.load(content, place)
         except KeymintError:
             message = "has more than one revocation list, or text around it; enclaves would get another file"
             help_ = f"rewrite it, here and on the robots: openssl crl -in {place} -out {place}"
-            findings.append(contents.error(_REVOCATIONS, path, message, help_))
+            findings.append(Diagnostic.error(_REVOCATIONS, message, contents.place(path), help_))
     newest = max(lists, key=lambda each: (lists[each].number, lists[each].this_update), default="")
     if newest:
         known = {each.serial for each in lists[newest].revocations}
@@ -289,11 +287,12 @@ def _newest_list(
                 help_ = (
                     "issue a list with all of it; or remove the older one, if these certificates may be accepted again"
                 )
-                findings.append(contents.error(_REVOCATIONS, newest, message, help_))
+                findings.append(Diagnostic.error(_REVOCATIONS, message, contents.place(newest), help_))
         count = quantity(len(lists[newest].revocations), "certificate")
         if form == "sros2":
             findings += _elsewhere(contents, newest, enclaves, count)
-        findings.append(contents.note(_REVOCATIONS, newest, f"revokes {count}, which stay revoked", "nothing"))
+        message = f"revokes {count}, which stay revoked"
+        findings.append(Diagnostic.note(_REVOCATIONS, message, contents.place(newest), "nothing"))
     return newest, findings
 
 
@@ -308,4 +307,4 @@ def _elsewhere(contents: Contents, newest: str, enclaves: Sequence[EnclavePlace]
             )
             help_ = "copy the newest one there, here and on the robot; or leave all lists out, if nothing is revoked"
             own = path or f"{enclave.place}/{layout.CRL}"
-            yield contents.error(_REVOCATIONS, own, message, help_, enclave.subject)
+            yield Diagnostic.error(_REVOCATIONS, message, contents.place(own), help_, enclave.subject)

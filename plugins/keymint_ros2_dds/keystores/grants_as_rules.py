@@ -82,7 +82,7 @@ def rules_of(
     named = not have_partitions([grant])
     try:
         with step_limit(STEPS):
-            rules = tuple(_rules(_unordered(document, steps, named=named), distro, named=named))
+            rules = tuple(_rules(_unordered(steps, named=named), distro, named=named))
     except StepLimitError as error:
         message = f"its rules overlap in too many ways: not decided in {error.steps:,} steps"
         raise _unsayable(message, document.place(grant.line), "put denials before what is allowed") from None
@@ -160,14 +160,14 @@ class _Step:
         action: about which action.
         topic: its pattern.
         partitions: expressions; none: the default partition of an allowed topic, and every one of a denied topic.
-        line: line of its element.
+        where: place of its element.
     """
 
     effect: Effect
     action: TopicAction
     topic: Glob
     partitions: tuple[Glob, ...]
-    line: int
+    where: Origin
 
 
 def _steps(document: PermissionsDocument, grant: DocumentGrant, rules: Sequence[DocumentRule]) -> Iterator[_Step]:
@@ -193,18 +193,17 @@ def _steps(document: PermissionsDocument, grant: DocumentGrant, rules: Sequence[
                 partitions = ()
             for topic in topics:
                 if topic and not glob.is_empty(topic):
-                    yield _Step(effect, TopicAction(criteria.action), topic, partitions, criteria.line)
+                    yield _Step(effect, TopicAction(criteria.action), topic, partitions, where)
     if grant.allows:
         for action in TopicAction:
-            yield _Step(Effect.ALLOW, action, EVERYTHING, (EVERYTHING,), grant.line)
+            yield _Step(Effect.ALLOW, action, EVERYTHING, (EVERYTHING,), document.place(grant.line))
 
 
-def _unordered(document: PermissionsDocument, steps: Sequence[_Step], *, named: bool) -> Iterator[tuple[_Step, Origin]]:
-    """Yield the steps that matter, with their places.
+def _unordered(steps: Sequence[_Step], *, named: bool) -> Iterator[_Step]:
+    """Yield the steps that matter.
 
     Args:
-        document: the document.
-        steps: its steps, in order.
+        steps: the steps of a document, in order.
         named: nothing is allowed outside of the default partition.
 
     Raises:
@@ -216,17 +215,16 @@ def _unordered(document: PermissionsDocument, steps: Sequence[_Step], *, named: 
             allowed.append(step)
         elif before := [each for each in allowed if _overlap(each, step)]:
             later = (each for each in steps[number:] if each.effect is Effect.ALLOW)
-            if not any(_covers(each, step, named=named) for each in before) and any(
-                _overlap(each, step) for each in later
-            ):
-                line = document.place(before[0].line).line
-                message = (
-                    f"denies to {step.action} {quote(canonical(step.topic))}, but line {line} before it allows "
-                    f"{quote(canonical(before[0].topic))}; in a policy every DENY overrides every ALLOW"
+            is_covered = any(_covers(each, step, named=named) for each in before)
+            if not is_covered and any(_overlap(each, step) for each in later):
+                what = (
+                    f"denies to {step.action} {quote(canonical(step.topic))}, but line {before[0].where.line} before it"
                 )
-                raise _unsayable(message, document.place(step.line), "write out the names that are allowed")
+                earlier = quote(canonical(before[0].topic))
+                message = f"{what} allows {earlier}; in a policy every DENY overrides every ALLOW"
+                raise _unsayable(message, step.where, "write out the names that are allowed")
             continue  # all of it is allowed before, or nothing that follows allows any of it
-        yield step, document.place(step.line)
+        yield step
 
 
 def _unsayable(message: str, where: Origin, help_: str) -> KeymintError:
@@ -248,7 +246,7 @@ def _covers(allowing: _Step, denying: _Step, *, named: bool) -> bool:
     return covers(allowing.topic, denying.topic) and all(any(covers(a, b) for a in own) for b in wide)
 
 
-def _rules(steps: Iterator[tuple[_Step, Origin]], distro: str, *, named: bool) -> Iterator[Rule]:
+def _rules(steps: Iterator[_Step], distro: str, *, named: bool) -> Iterator[Rule]:
     """Yield a rule for each name: on ROS names where the topics of a default partition say so, else on DDS topics.
 
     Args:
@@ -257,16 +255,16 @@ def _rules(steps: Iterator[tuple[_Step, Origin]], distro: str, *, named: bool) -
         named: nothing is allowed outside of the default partition, so that denials of others say nothing.
     """
     places: dict[Effect, dict[tuple[TopicAction, Glob], Origin]] = {effect: {} for effect in Effect}
-    raw: dict[tuple[_Step, Origin], None] = {}
-    for step, where in steps:
+    raw: dict[_Step, None] = {}
+    for step in steps:
         if not step.partitions or (named and any(matches(each, "") for each in step.partitions)):
-            places[step.effect].setdefault((step.action, step.topic), where)
+            places[step.effect].setdefault((step.action, step.topic), step.where)
         else:
-            raw[step, where] = None
+            raw[step] = None
     for effect, patterns in places.items():
         names: Mapping[tuple[str, str, Glob], tuple[TopicAction, Glob]] = in_ros(patterns, distro)
         for (kind, permission, name), source in names.items():
             yield Rule(effect, kind, (permission,), (canonical(name),), (), False, patterns[source])
-    for step, where in raw:
+    for step in raw:
         partitions = tuple(map(canonical, step.partitions))
-        yield Rule(step.effect, "topic", (str(step.action),), (canonical(step.topic),), partitions, False, where)
+        yield Rule(step.effect, "topic", (str(step.action),), (canonical(step.topic),), partitions, False, step.where)

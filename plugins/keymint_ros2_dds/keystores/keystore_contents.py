@@ -13,7 +13,7 @@ from contextlib import suppress
 
 from cryptography import x509
 
-from comarmor.errors import Diagnostic, Origin
+from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint.api import KeystoreFile, KeystoreFiles
 from keymint.errors import KeymintError
@@ -70,18 +70,6 @@ class Contents:
         """Return a path of the keystore as the user would type it."""
         folder = self.keystore.folder
         return Origin(f"{folder}/{path}" if path else folder)
-
-    def error(self, code: str, path: str, message: str, help_: str, subject: str = "") -> Diagnostic:
-        """Return why a file or folder cannot be taken over as it is."""
-        return Diagnostic.error(code, message, self.place(path), help_, subject)
-
-    def warning(self, code: str, path: str, message: str, help_: str) -> Diagnostic:
-        """Return what is wrong with a file that is taken over."""
-        return Diagnostic.warning(code, message, self.place(path), help_)
-
-    def note(self, code: str, path: str, message: str, help_: str) -> Diagnostic:
-        """Return what a later step can improve."""
-        return Diagnostic.note(code, message, self.place(path), help_)
 
     def keys_of(self, certificate: x509.Certificate) -> Sequence[str]:
         """Return the paths of all files with the private key of a certificate; those in PEM come first."""

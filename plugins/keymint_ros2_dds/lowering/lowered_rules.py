@@ -23,14 +23,8 @@ from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules
-from keymint_ros2_dds.lowering.name_mapping import (
-    DDS_TOPICS,
-    TopicAction,
-    dds_patterns,
-    has_kind,
-    needed_topics,
-    parse_expression,
-)
+from keymint_ros2_dds.lowering import name_mapping
+from keymint_ros2_dds.lowering.name_mapping import TopicAction, dds_patterns, has_kind, needed_topics, parse_expression
 
 Partitions = tuple[str, ...]
 """Partition expressions, sorted."""
@@ -127,7 +121,7 @@ def lower(rules: SubjectRules, distro: str) -> Lowered:
                 patterns = _patterns(tokens, rule.kind, rule.permissions, rule.effect, distro)
             except KeyError as error:
                 message = f"DDS knows no permission {error.args[0]!r} of a {rule.kind} rule"
-                help_ = did_you_mean(error.args[0], DDS_TOPICS)
+                help_ = did_you_mean(error.args[0], name_mapping.DDS_TOPICS)
                 raise KeymintError(message, where=rule.origin, help=help_, code="permission-unknown") from None
             for action, pattern, partition in patterns:
                 side[action].setdefault((pattern, partition or partitions), rule)

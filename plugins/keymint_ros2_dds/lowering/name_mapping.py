@@ -268,8 +268,11 @@ def in_ros(patterns: Iterable[tuple[TopicAction, Glob]], distro: str) -> Mapping
     if distro != ARDENT:
         for kind, permissions in _PERMISSIONS.items():
             for permission in permissions:
-                topics = DDS_TOPICS[permission]
-                found |= {(kind, permission, name): _topic_of(topics[0], name) for name in _complete(topics, left)}
+                first, *_ = topics = DDS_TOPICS[permission]
+                names = (_name(pattern, first) for action, pattern in left if action is first.action)
+                for name in filter(None, names):
+                    if all(_topic_of(topic, name) in left for topic in topics):
+                        found[kind, permission, name] = _topic_of(first, name)
         for _, permission, name in found:
             for topic in DDS_TOPICS[permission]:
                 left.pop(_topic_of(topic, name), None)
@@ -279,12 +282,6 @@ def in_ros(patterns: Iterable[tuple[TopicAction, Glob]], distro: str) -> Mapping
 
 def _topic_of(topic: DdsTopic, name: Glob) -> tuple[TopicAction, Glob]:
     return topic.action, glob.surround(topic.prefix, name, topic.suffix)
-
-
-def _complete(topics: tuple[DdsTopic, ...], patterns: Mapping[tuple[TopicAction, Glob], None]) -> list[Glob]:
-    """Return the patterns of ROS names for which there are all topics of a permission."""
-    names = (_name(pattern, topics[0]) for action, pattern in patterns if action is topics[0].action)
-    return [name for name in names if name is not None and all(_topic_of(topic, name) in patterns for topic in topics)]
 
 
 def _name(pattern: Glob, topic: DdsTopic) -> Glob | None:

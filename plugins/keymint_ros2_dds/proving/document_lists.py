@@ -16,18 +16,8 @@ from dataclasses import replace
 from functools import lru_cache
 from itertools import chain
 
-from comarmor.patterns import proofs
-from comarmor.patterns.decision_lists import (
-    Block,
-    DecisionList,
-    Equal,
-    ProofResult,
-    SearchBudget,
-    Universe,
-    Unknown,
-    Witness,
-    negate,
-)
+from comarmor.patterns import decision_lists, proofs
+from comarmor.patterns.decision_lists import Block, DecisionList, Equal, ProofResult, SearchBudget, Unknown, Witness
 from comarmor.patterns.glob import EVERYTHING, Glob, matches, parse
 from comarmor.patterns.tokens import charset
 from comarmor.rules import Effect
@@ -223,7 +213,9 @@ def patterns(expression: str, semantics: Semantics, *, pairs: bool) -> tuple[Glo
     return tuple(octets.pair(EVERYTHING, topic) for topic in globs) if pairs else globs
 
 
-def difference(policy: DecisionList, permitted: Permitted, universe: Universe, budget: SearchBudget) -> ProofResult:
+def difference(
+    policy: DecisionList, permitted: Permitted, universe: decision_lists.Universe, budget: SearchBudget
+) -> ProofResult:
     """Compare what a policy allows with what the documents permit.
 
     Args:
@@ -261,11 +253,11 @@ def _questions(
     permissions alone must not permit more either, covered or not: peers evaluate them with their own governance.
     """
     endpoint, *topic = permitted.lists
-    outside = (negate(permitted.exempt),) if permitted.exempt else ()
+    outside = (decision_lists.negate(permitted.exempt),) if permitted.exempt else ()
     yield (topics.opened, *outside), policy, False
     yield (endpoint, *topic, *outside), policy, False
     if topic:
         yield (endpoint, topics.either, *outside), policy, False
     for own, open_ in ((endpoint, topics.opened), *((checked, topics.either) for checked in topic)):
-        yield (policy, negate(open_)), own, True
+        yield (policy, decision_lists.negate(open_)), own, True
     yield (policy,), topics.covered, True

@@ -18,7 +18,7 @@ from functools import cache
 from itertools import product
 from xml.sax.saxutils import escape
 
-from keymint_ros2_dds.proving.claims import ASSUMPTIONS, prove_content
+from keymint_ros2_dds.proving.claims import assumptions, prove_content
 from keymint_ros2_dds.vendors import probe_builds
 
 from keymint.api import Claim, ComparisonTask, Proof
@@ -201,7 +201,7 @@ def run(count: int, seed: int, *, cyclone: bool) -> Counter[str]:
     """
     found: Counter[str] = Counter()
     models = readings(cyclone=cyclone)
-    assert set(models) <= set(ASSUMPTIONS)
+    assert set(models) <= set(assumptions())
     drawn = cases(seed)
     while found["cases"] < count:
         case = next(drawn)
