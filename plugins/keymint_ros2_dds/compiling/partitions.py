@@ -53,7 +53,7 @@ def uniform(allow: Iterable[Step], deny: Iterable[Step]) -> Partitions | None:
     if len(lists) > 1:
         return None
     shared = lists.pop()
-    return None if any(remaining(shared, listed) not in {(), shared} for _, listed in deny) else shared
+    return None if any(partitions_left(shared, listed) not in {(), shared} for _, listed in deny) else shared
 
 
 def unsafe(allow: Iterable[Step]) -> Iterator[tuple[Glob, str]]:
@@ -99,7 +99,7 @@ def _within(inner: Partitions, outer: Partitions) -> bool:
     return all(name in outer or any(covers(globs.parse(o), globs.parse(name)) for o in outer) for name in inner)
 
 
-def remaining(allowed: Partitions, denied: Partitions) -> Partitions:
+def partitions_left(allowed: Partitions, denied: Partitions) -> Partitions:
     """Return the allowed partitions that remain after a deny of ``denied`` (empty: every partition).
 
     Raises:
@@ -279,7 +279,7 @@ def _effective(pattern: Glob, allow: _Side, deny: _Side) -> Partitions:
     for other, names in denied:
         if left:
             try:
-                left = remaining(left, names)
+                left = partitions_left(left, names)
             except ValueError:
                 reason = f"it removes a part of the partitions {' '.join(left)}, which vendors read differently"
                 raise UnportableError(other, reason) from None

@@ -29,7 +29,7 @@ from comarmor.rules import Effect
 from comarmor.values import dataclass
 from keymint.ir import Rule
 from keymint.keymake.order import Arrangement, arrange, early_rules
-from keymint_ros2_dds.compiling.partitions import Step, UnportableError, decision_list, remaining, uniform
+from keymint_ros2_dds.compiling.partitions import Step, UnportableError, decision_list, partitions_left, uniform
 from keymint_ros2_dds.lowering.lowered_rules import DEFAULT, EVERY, GrantRule, Lowered, Partitions, with_leading_allow
 from keymint_ros2_dds.lowering.name_mapping import TopicAction
 
@@ -89,7 +89,7 @@ def rule_groups(
 def _simple(
     action: TopicAction, allow: Iterable[Step], deny: Iterable[Step], shared: Partitions, *, reduced: bool
 ) -> RuleGroup:
-    denied = (pattern for pattern, partitions in deny if not remaining(shared, partitions))
+    denied = (pattern for pattern, partitions in deny if not partitions_left(shared, partitions))
     order = arrange((pattern for pattern, _ in allow), dict.fromkeys(denied), reduced=reduced)
     free = (GrantRule(Effect.ALLOW, shared, {action: order.free}),) if order.free else ()
     ordered: tuple[GrantRule[Glob], ...] = ()
