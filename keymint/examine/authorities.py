@@ -11,7 +11,7 @@ or that ``git add`` would add.
 from __future__ import annotations
 
 import os
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from datetime import timedelta
@@ -42,9 +42,15 @@ def authorities(session: Session, within: timedelta) -> Iterator[Diagnostic]:
     fingerprints: dict[str, str] = {}
     for authority in authority_files.in_order(session.profile.authorities):
         files = authority_files.read_files(session, authority)
-        key = yield from _key(session, files)
-        if key is not None:
-            fingerprints[authority.name] = keys.fingerprint(key)
+        key: keys.PublicKey | None = None
+        if authority.certificate.key.uri:
+            yield from key_copies(files)
+        elif files.key is not None:
+            try:
+                key = authority_files.load_private_key(session, files).public_key()
+                fingerprints[authority.name] = keys.fingerprint(key)
+            except KeymintError as error:
+                yield from key_defects(error)
         if files.content is None:
             yield Diagnostic.error(
                 "authority-missing",
@@ -66,23 +72,6 @@ def authorities(session: Session, within: timedelta) -> Iterator[Diagnostic]:
     with Defects() as defects:
         examine.require_own_keys(session, fingerprints)
     yield from defects.found
-
-
-def in_defect(findings: tuple[Diagnostic, ...]) -> Diagnostic | None:
-    """Return a finding that makes installing fail until a person decides, or None."""
-    return next((finding for finding in findings if finding.code in examine.DECIDED_BY_A_PERSON), None)
-
-
-def _key(inputs: Inputs, files: AuthorityFiles) -> Generator[Diagnostic, None, keys.PublicKey | None]:
-    """Check the private key; the generator returns its public key if it can be read."""
-    if files.authority.certificate.key.uri:
-        yield from key_copies(files)
-    elif files.key is not None:
-        try:
-            return authority_files.load_private_key(inputs, files).public_key()
-        except KeymintError as error:
-            yield from key_defects(error)
-    return None
 
 
 def _certificate(
@@ -174,17 +163,21 @@ def exposed_keys(session: Session) -> Iterator[Diagnostic]:
 
 def git_exposure(inputs: Inputs) -> Iterator[Diagnostic]:
     """Yield the findings on the private keys in all spaces; none without a repository or without git."""
+    kept = {name: each for name, each in inputs.environment.items() if not name.startswith("GIT_") or "CONFIG" in name}
+    # So git only reads the repository of a space.
+    environment = {**kept, "LC_ALL": "C", "GIT_OPTIONAL_LOCKS": "0", "GIT_TERMINAL_PROMPT": "0"}
     for space in inputs.workspace.spaces():
-        if _in_repository(space.resolve()):
-            yield from _of_space(inputs, space)
+        folder = space.resolve()
+        if any(os.path.lexists(above / ".git") for above in (folder, *folder.parents)):
+            yield from _of_space(inputs, space, environment)
 
 
-def _of_space(inputs: Inputs, space: Path) -> Iterator[Diagnostic]:
+def _of_space(inputs: Inputs, space: Path, environment: Mapping[str, str]) -> Iterator[Diagnostic]:
+    """Yield one finding for all private keys of a space that git tracks, and one for all that it would add."""
     files = (Path(path) for path, is_folder in inputs.tree.walk(space) if not is_folder)
     found = [path for path in files if _is_secret(inputs, path)]
     if not found:
         return
-    environment = _plain(inputs.environment)
     try:
         tracked = _listed(space, "--cached", environment)
         added = _listed(space, "--others", environment)
@@ -194,41 +187,24 @@ def _of_space(inputs: Inputs, space: Path) -> Iterator[Diagnostic]:
             message = f"whether git tracks private keys is unknown: {defect.message}"
             yield Diagnostic.note("git-unknown", message, inputs.workspace.origin(space))
         return
-    guard = inputs.workspace.shown(space / GITIGNORE)
-    stop = f"write the line '*' into {guard}"
-    replace = "replace it, since whoever has the repository has it"
-    yield from _finding(
-        inputs, found, tracked, "key-tracked", "that git tracks", f"'git rm --cached' it, and {replace}"
-    )
-    yield from _finding(inputs, found, added - tracked, "key-exposed", "that 'git add' would take", stop)
-
-
-def _finding(
-    inputs: Inputs, found: list[Path], listed: frozenset[Path], code: str, what: str, help_: str
-) -> Iterator[Diagnostic]:
-    """Yield one finding for all private keys of a space that are listed."""
-    exposed = [path for path in found if path in listed or any(folder in listed for folder in path.parents)]
-    exposed = [path for path in exposed if not keys.is_all_public(inputs.tree.try_read(path) or b"")]
-    if exposed:
-        more = f", like {len(exposed) - 1} more" if len(exposed) > 1 else ""
-        message = f"is a private key {what}{more}"
-        yield Diagnostic.error(code, message, inputs.workspace.origin(exposed[0]), help_)
-
-
-def _in_repository(folder: Path) -> bool:
-    return any(os.path.lexists(above / ".git") for above in (folder, *folder.parents))
+    end = "'git rm --cached' it, and replace it, since whoever has the repository has it"
+    stop = f"write the line '*' into {inputs.workspace.shown(space / GITIGNORE)}"
+    for listed, code, what, help_ in (
+        (tracked, "key-tracked", "that git tracks", end),
+        (added - tracked, "key-exposed", "that 'git add' would take", stop),
+    ):
+        exposed = [path for path in found if not listed.isdisjoint((path, *path.parents))]
+        exposed = [path for path in exposed if not keys.is_all_public(inputs.tree.try_read(path) or b"")]
+        if exposed:
+            more = f", like {len(exposed) - 1} more" if len(exposed) > 1 else ""
+            message = f"is a private key {what}{more}"
+            yield Diagnostic.error(code, message, inputs.workspace.origin(exposed[0]), help_)
 
 
 def _listed(space: Path, which: str, environment: Mapping[str, str]) -> frozenset[Path]:
     """Return the files below a space that git lists; a repository inside of it is one entry."""
     names = run_git((*_LIST, which, "--exclude-standard", "--", "."), space, environment).split(b"\0")
     return frozenset(space / os.fsdecode(name.removesuffix(b"/")) for name in names if name)
-
-
-def _plain(environment: Mapping[str, str]) -> Mapping[str, str]:
-    """Return an environment in which git only reads the repository of a space."""
-    kept = {name: value for name, value in environment.items() if not name.startswith("GIT_") or "CONFIG" in name}
-    return {**kept, "LC_ALL": "C", "GIT_OPTIONAL_LOCKS": "0", "GIT_TERMINAL_PROMPT": "0"}
 
 
 def _is_secret(inputs: Inputs, path: Path) -> bool:

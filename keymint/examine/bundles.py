@@ -7,7 +7,7 @@ owner gives by hand: authorities are known by their keys, an enclave by its own 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import field
 from datetime import datetime
 
@@ -46,7 +46,7 @@ class Acceptance:
         files: its files that change, by name.
         removed: names of files that an earlier bundle brought and this one does not.
         answered: the request that waited is answered.
-        notes: warnings.
+        notes: a warning for each file of the enclave that is part of no bundle, and that a transport may read.
     """
 
     files: Mapping[str, bytes] = field(repr=False)
@@ -71,7 +71,26 @@ def accept(bundle: Bundle, present: Present, owner: Owner, now: datetime, where:
             ``bundle-outdated``: a number would go back. ``bundle-key``: the keystore does not have its key.
             ``bundle-dates``, ``bundle-chain``, ``bundle-revoked``: nodes would not start with it.
     """
-    return _BundleQuestion(bundle, present, owner, now, where).acceptance()
+    question = _BundleQuestion(bundle, present, owner, now, where)
+    question.require_known_authorities()
+    before = question.accepted_last()
+    question.require_later(before)
+    question.require_expected(before)
+    key = question.private_key()
+    question.require_in_force()
+    wanted = {**bundle.files, **({KEY: key} if key else {}), RECORD: bundle.encoded}
+    files = {name: content for name, content in wanted.items() if present.files.get(name) != content}
+    # A key of an earlier request is of no use beside a certificate for another one.
+    brought = {*(before.files if before else ()), KEY}
+    removed = tuple(sorted(name for name in present.files if name in brought and name not in wanted))
+    # The certificate comes last: a node that starts in between fails, and admits nobody.
+    ordered = dict(sorted(files.items(), key=lambda item: item[0] == CERTIFICATE))
+    pending = present.pending
+    answered = pending is not None and pending.request.fingerprint == bundle.manifest.key
+    message, help_ = "was there before and is not part of the bundle", "remove it unless you know what reads it"
+    left = (name for name in sorted(present.files.keys() - {*wanted, *removed}) if not name.startswith("."))
+    notes = (Diagnostic.warning("bundle-left", message, Origin(f"{present.folder}/{name}"), help_) for name in left)
+    return Acceptance(ordered, removed, answered, tuple(notes))
 
 
 class _BundleQuestion:
@@ -86,46 +105,23 @@ class _BundleQuestion:
         self._where = where
         self._was_accepted = bundle.encoded == present.files.get(RECORD)
 
-    def acceptance(self) -> Acceptance:
-        """Return what to do with the enclave."""
-        bundle, present = self._bundle, self._present
-        self._require_comparable_authorities()
-        self._require_known_authorities()
-        before = self._accepted_last()
-        self._require_later(before)
-        self._require_expected(before)
-        key = self._private_key()
-        self._require_in_force()
-        wanted = {**bundle.files, **({KEY: key} if key else {}), RECORD: bundle.encoded}
-        files = {name: content for name, content in wanted.items() if present.files.get(name) != content}
-        # A key of an earlier request is of no use beside a certificate for another one.
-        brought = {*(before.files if before else ()), KEY}
-        removed = tuple(sorted(name for name in present.files if name in brought and name not in wanted))
-        # The certificate comes last: a node that starts in between fails, and admits nobody.
-        ordered = dict(sorted(files.items(), key=lambda item: item[0] == CERTIFICATE))
-        pending = present.pending
-        answered = pending is not None and pending.request.fingerprint == self._manifest.key
-        return Acceptance(ordered, removed, answered, tuple(_left(present, {*wanted, *removed})))
-
     def _refusal(self, code: str, message: str, help_: str) -> KeymintError:
         return KeymintError(message, where=self._where, help=help_, code=code)
 
     # -- who it is by ------------------------------------------------------------------------------------------------
 
-    def _require_comparable_authorities(self) -> None:
-        for name in self._bundle.files.keys() - self._bundle.authorities.keys() - {CERTIFICATE}:
-            if _AUTHORITY in name:  # e.g. a reference to a token, which nodes would prefer
-                message = f"its file {name} names an authority in a form that cannot be compared"
-                help_ = "ask the authority for a bundle with certificates in PEM"
-                raise self._refusal("bundle-authority", message, help_)
-
-    def _require_known_authorities(self) -> None:
-        """Require that the authorities are those of the keystore, or given by hand.
+    def require_known_authorities(self) -> None:
+        """Require that the authorities can be compared, and are those of the keystore, or given by hand.
 
         What the keystore knows by the name of a file stays: also the signer of the manifest may not exchange the
         authority for rights, and that one signs no manifest. A file that no enclave has yet is vouched for by the
         signer.
         """
+        for name in self._bundle.files.keys() - self._bundle.authorities.keys() - {CERTIFICATE}:
+            if _AUTHORITY in name:  # e.g. a reference to a token, which nodes would prefer
+                message = f"its file {name} names an authority in a form that cannot be compared"
+                help_ = "ask the authority for a bundle with certificates in PEM"
+                raise self._refusal("bundle-authority", message, help_)
         present, given, signer = self._present, self._owner.authorities, self._manifest.authority
         give = "('keymint authority show') and give it with --authority-fingerprint"
         trusted = self._was_accepted or signer in given
@@ -146,7 +142,7 @@ class _BundleQuestion:
 
     # -- whom it is for ----------------------------------------------------------------------------------------------
 
-    def _accepted_last(self) -> Manifest | None:
+    def accepted_last(self) -> Manifest | None:
         """Return the manifest of the bundle that the enclave came from, or None."""
         encoded = self._present.files.get(RECORD)
         if encoded is None:
@@ -159,7 +155,7 @@ class _BundleQuestion:
             help_ = "restore it; or remove it, and take only a bundle that you know to be the latest"
             raise KeymintError(message, where=where, help=help_, code="bundle-record") from None
 
-    def _require_expected(self, before: Manifest | None) -> None:
+    def require_expected(self, before: Manifest | None) -> None:
         """Require that the enclave is one of the keystore, and that the bundle answers none but its last request."""
         manifest, pending, is_new = self._manifest, self._present.pending, not self._present.files
         nonces = {pending.request.nonce} if pending else set[str]()
@@ -173,14 +169,18 @@ class _BundleQuestion:
             message = f"it is for {manifest.enclave}, which this keystore does not have and did not request"
             raise self._refusal("bundle-unexpected", message, "if it is for this robot, say --new")
 
-    def _private_key(self) -> bytes:
+    def private_key(self) -> bytes:
         """Return the private key of the enclave, PEM; empty if it is not in a file, but in a token."""
         wanted, present = self._manifest.key, self._present
         brought = self._bundle.files.get(KEY, b"")
         here = (brought,) if brought else (present.pending.key if present.pending else b"", present.files.get(KEY, b""))
         for pem in filter(None, here):
-            if _is_key(pem, wanted):
-                return pem
+            try:
+                if keys.fingerprint(keys.public_of(pem)) == wanted:
+                    return pem
+            except KeymintError as error:
+                if error.diagnostics[0].code == "key-password":  # nobody here can tell which it is, so it may be this
+                    return pem
         if not brought and _is_elsewhere(present, wanted):
             return b""
         message = f"it certifies the key {wanted}, which {self._manifest.enclave} in this keystore does not have"
@@ -189,7 +189,7 @@ class _BundleQuestion:
 
     # -- when it is for ----------------------------------------------------------------------------------------------
 
-    def _require_in_force(self) -> None:
+    def require_in_force(self) -> None:
         """Require that nodes start with it now: a list that has expired, e.g., keeps every node from starting."""
         bundle, now, (first, last) = self._bundle, self._now, (self._manifest.not_before, self._manifest.not_after)
         again = "ask the authority for a new bundle"
@@ -212,7 +212,7 @@ class _BundleQuestion:
                 message = f"a revocation list of it {problem}: nodes would not start"
                 raise self._refusal("bundle-revoked", message, help_)
 
-    def _require_later(self, before: Manifest | None) -> None:
+    def require_later(self, before: Manifest | None) -> None:
         """Require that no number goes back. Without an earlier bundle, what is installed gives the numbers."""
         bundle, manifest = self._bundle, self._manifest
         if self._was_accepted:
@@ -246,14 +246,6 @@ def _is_elsewhere(present: Present, wanted: str) -> bool:
     return certificates.fingerprint(certificates.load(certificate, Origin(f"{present.folder}/{CERTIFICATE}"))) == wanted
 
 
-def _is_key(pem: bytes, wanted: str) -> bool:
-    """Tell whether a private key has a fingerprint; of an encrypted one nobody here can tell, so it may."""
-    try:
-        return keys.fingerprint(keys.public_of(pem)) == wanted
-    except KeymintError as error:
-        return error.diagnostics[0].code == "key-password"
-
-
 def _older_than_installed(bundle: Bundle, present: Present) -> str:
     """Return how a bundle is older than what is installed, which came from elsewhere; empty if it is not."""
     pem = present.files.get(CERTIFICATE)
@@ -266,18 +258,6 @@ def _older_than_installed(bundle: Bundle, present: Present) -> str:
     except ValueError:
         number = 0  # what cannot be read keeps nodes from starting, so nothing rests on it
     return f"its revocation list is not the number {number}" if bundle.manifest.revocations < number else ""
-
-
-def _left(present: Present, accounted: Collection[str]) -> Iterator[Diagnostic]:
-    """Yield a warning for each file of the enclave that is part of no bundle, and that a transport may read."""
-    for name in sorted(present.files.keys() - accounted):
-        if not name.startswith("."):
-            yield Diagnostic.warning(
-                "bundle-left",
-                "was there before and is not part of the bundle",
-                Origin(f"{present.folder}/{name}"),
-                "remove it unless you know what reads it",
-            )
 
 
 def _shown(moment: datetime) -> str:

@@ -13,31 +13,16 @@ from datetime import timedelta
 from functools import partial
 from typing import Any
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint.api import BuildOptions, BuildType, Inspection, Package
 from keymint.api.plugin_loader import Plugins
 from keymint.authority.authority_files import trusted_chains
+from keymint.authority.examine import DECIDED_BY_A_PERSON
 from keymint.errors import KeymintError
-from keymint.examine.authorities import (
-    authorities,
-    elsewhere,
-    encryption,
-    exposed_keys,
-    git_exposure,
-    in_defect,
-)
-from keymint.examine.files import (
-    changed_file,
-    file_status,
-    link,
-    linked_twice,
-    modes,
-    outside_enclaves,
-    unexpected_file,
-    unrecorded_note,
-)
+from keymint.examine.authorities import authorities, elsewhere, encryption, exposed_keys, git_exposure
+from keymint.examine.files import enclave_files_on_disk, file_status, outside_enclaves, unexpected_file
 from keymint.examine.keystore import deciding_findings, staged_keystore_session
 from keymint.executors import Pool
 from keymint.life.examine import Keyring, orphan_findings, shared_keys
@@ -47,10 +32,8 @@ from keymint.pki import keys
 from keymint.stages import identities
 from keymint.stages.documents import built_documents
 from keymint.stages.proof.trust_anchors import unvouched_files
-from keymint.store.changes import file_mode
 from keymint.view.stamps import digest
 from keymint.workspace import installed_enclaves
-from keymint.workspace.installed_enclaves import INSTALLED
 from keymint.workspace.package_build_types import BUILD, build_types_of, is_build_current
 from keymint.workspace.session import Session
 from keymint.workspace.stored_keys import key_defects
@@ -113,10 +96,7 @@ def examine(session: Session, loaded: LoadedEnclave, keyring: Keyring) -> tuple[
     if package is None:
         return "", "", loaded.unread
     fingerprint, findings = _identity_key(session, package, keyring)
-    found = (
-        *findings,
-        *([_absent(session, package.name)] if loaded.is_absent else _of_files(session, package, loaded)),
-    )
+    found = (*findings, *_of_files(session, package, loaded))
     known = {(each.code, each.where) for each in found}
     try:
         more = dict.fromkeys(unvouched_files(session, package))
@@ -127,27 +107,26 @@ def examine(session: Session, loaded: LoadedEnclave, keyring: Keyring) -> tuple[
 
 
 def _of_files(session: Session, package: Package, loaded: LoadedEnclave) -> Iterator[Diagnostic]:
-    """Yield the findings on the files of an enclave, and those of its build types."""
+    """Yield the findings on the files of an enclave, and those of its build types; or that on a missing enclave."""
+    name, subject = package.name, package.subject
+    if loaded.is_absent:
+        if (reason := withdrawn(session).get(name)) is None:
+            yield installed_enclaves.not_installed(name, session.workspace.shown(session.enclave_folder(name)))
+            return
+        message = f"the certificate of {subject} was revoked ({reason}), and its enclave removed"
+        help_ = f"'keymint renew --rekey {name}' makes a new key and certificate"
+        yield Diagnostic.note("identity-revoked", message, None, help_, subject)
+        return
     yield from loaded.unread
-    yield from _on_disk(session, package.name, loaded.files)
+    yield from enclave_files_on_disk(session, package, loaded.files)
     known = frozenset[str]().union(*(own.files for _, own in loaded.seen.values()))
     for file in sorted(loaded.files.keys() - known):
         message = f"does not belong to the layout {session.profile.layout!r}"
-        yield unexpected_file(session, session.enclave(package.name) / file, message, package.subject)
+        yield unexpected_file(session, session.enclave(name) / file, message, subject)
     unread = {each.where for each in loaded.unread}
     for each in dict.fromkeys(each for build_type, own in loaded.seen.values() for each in build_type.check(own)):
         if each.code != "file-missing" or each.where not in unread:
             yield each
-
-
-def _absent(session: Session, name: str) -> Diagnostic:
-    """Return the finding on a package without an enclave."""
-    reason = withdrawn(session).get(name)
-    if reason is None:
-        return installed_enclaves.not_installed(name, session.workspace.shown(session.enclave_folder(name)))
-    message = f"the certificate of {subject_of(name)} was revoked ({reason}), and its enclave removed"
-    help_ = f"'keymint renew --rekey {name}' makes a new key and certificate"
-    return Diagnostic.note("identity-revoked", message, None, help_, subject_of(name))
 
 
 def _inspections(session: Session, package: Package, files: Mapping[str, bytes], within: timedelta) -> Inspections:
@@ -157,15 +136,20 @@ def _inspections(session: Session, package: Package, files: Mapping[str, bytes],
         KeymintError: the package has defects.
     """
     build_types = build_types_of(session, package)
-    recorded = _recorded(session, package.name) if len(build_types) == 1 else None  # which does not say whose each is
-    chains = trusted_chains(session)
+    recorded, stamp = None, session.state.stamp(BUILD, package.name)
+    # The record has the digests of what all build types built, and does not say whose each is.
+    if len(build_types) == 1 and stamp is not None and is_build_current(session, package.name):
+        built = built_documents(session, package.name)
+        recorded = built if {file: digest(content) for file, content in built.items()} == stamp.outputs else None
+    # Differences between vendors were accepted when the package was built.
+    options, chains = BuildOptions(allow_vendor_specific=True), trusted_chains(session)
     folder, layout = session.workspace.shown(session.enclave_folder(package.name)), session.profile.layout
     found: dict[str, tuple[BuildType, Inspection]] = {}
     for name, build_type in build_types.items():
         own = build_type.files(layout)
         inspection = Inspection(
             packages=(package,),
-            documents=_built(build_type, package) if recorded is None else recorded,
+            documents=build_type.build(package, options).documents if recorded is None else recorded,
             files={file: content for file, content in files.items() if file in own},
             folder=folder,
             layout=layout,
@@ -175,24 +159,6 @@ def _inspections(session: Session, package: Package, files: Mapping[str, bytes],
         )
         found[name] = build_type, inspection
     return found
-
-
-def _recorded(session: Session, name: str) -> Mapping[str, bytes] | None:
-    """Return the built documents of a package if the record has their digests and that of its sources, else None."""
-    stamp = session.state.stamp(BUILD, name)
-    if stamp is None or not is_build_current(session, name):
-        return None
-    documents = built_documents(session, name)
-    return documents if {file: digest(content) for file, content in documents.items()} == stamp.outputs else None
-
-
-def _built(build_type: BuildType, package: Package) -> Mapping[str, bytes]:
-    """Return the documents of the sources; differences between vendors were accepted when the package was built.
-
-    Raises:
-        KeymintError: the package has defects.
-    """
-    return build_type.build(package, BuildOptions(allow_vendor_specific=True)).documents
 
 
 def _identity_key(session: Session, package: Package, keyring: Keyring) -> tuple[str, tuple[Diagnostic, ...]]:
@@ -225,38 +191,6 @@ def _identity_key(session: Session, package: Package, keyring: Keyring) -> tuple
     return fingerprint, ()
 
 
-def _link(session: Session, name: str, path: str) -> Diagnostic:
-    """Return the finding on a link within the keystore, which a tool that made the enclave may have meant."""
-    found = link(session, path, subject_of(name))
-    help_ = f"copy what it leads to as well ('cp -L', 'rsync -L'), or {found.help}"
-    return replace(found, severity=Severity.NOTE, help=help_) if session.package(name).kept else found
-
-
-def _on_disk(session: Session, name: str, files: Mapping[str, bytes]) -> Iterator[Diagnostic]:
-    """Check modes, links and recorded digests of one enclave."""
-    folder, subject = session.enclave_folder(name), subject_of(name)
-    stamp = session.state.stamp(INSTALLED, name)
-    secret = stamp.secret if stamp else (installed_enclaves.KEY,)
-    yield from modes(session, folder, 0o700, subject)
-    for file in installed_enclaves.files_in(session, name):
-        path = f"{folder}/{file}"
-        is_secret = file in secret or keys.has_private_key(files.get(file, b""))
-        is_other = stamp is not None and file not in stamp.outputs
-        for each in modes(session, path, file_mode(secret=is_secret), subject):
-            if not is_other or each.code != "file-mode" or each.severity is Severity.ERROR:  # hidden ones may stay so
-                yield each
-        if session.tree.follows(path):
-            yield _link(session, name, path)
-        if file in secret:
-            yield from linked_twice(session, path, subject)
-    if stamp is None:
-        yield unrecorded_note(f"what was installed as {subject}", subject)
-        return
-    for file, value in stamp.outputs.items():
-        if file in files and session.tree.digest(f"{folder}/{file}") != value:
-            yield changed_file(session, f"{folder}/{file}", f"'keymint install {name}' restores it", subject)
-
-
 LEAST = 64
 """Enclaves that are worth a process of their own."""
 
@@ -285,15 +219,20 @@ def check(session: Session, names: Sequence[str], within: timedelta, pool: Pool)
     around, of_files, of_git, decides, *examined = found
     enclaves: list[tuple[str, str, Sequence[Diagnostic]]] = [each for part in (first, *examined) for each in part]
     findings = [finding for _, _, of_enclave in enclaves for finding in of_enclave]
-    findings += _of_several(session, loaded)
+    seen = [each.seen for each in loaded if not each.is_absent]
+    for build_type in sorted({name for of_enclave in seen for name in of_enclave}):
+        inspections = [of_enclave[build_type][1] for of_enclave in seen if build_type in of_enclave]
+        findings += session.plugins.build_type(build_type).check_all(inspections)
     findings += orphan_findings(session)
     findings += (each for each in decides if each not in findings)  # the defects of packages are found above
     fingerprints = {name: fingerprint for name, fingerprint, _ in enclaves if fingerprint}
     findings += shared_keys(session, fingerprints)
     findings += (*elsewhere(session), *encryption(session), *exposed_keys(session))
     findings += around
-    later = _without_install_hints(findings, in_defect(of_authorities))
-    return (*of_authorities, *of_files, *of_git, *later, *_of_second_keystore(session, names, within, pool))
+    if defect := next((each for each in of_authorities if each.code in DECIDED_BY_A_PERSON), None):
+        help_ = f"fix {defect.where} first"  # until then installing fails
+        findings = [replace(each, help=help_) if _INSTALLS.search(each.help) else each for each in findings]
+    return (*of_authorities, *of_files, *of_git, *findings, *_of_second_keystore(session, names, within, pool))
 
 
 def _deciding(session: Session) -> tuple[Diagnostic, ...]:
@@ -324,24 +263,6 @@ _OF_RECORD = frozenset({"record-missing", "key-missing"})
 
 def _carry_out(_plugins: Plugins, task: Callable[[], Iterable[Any]]) -> tuple[Any, ...]:
     return tuple(task())
-
-
-def _of_several(session: Session, loaded: Iterable[LoadedEnclave]) -> Iterator[Diagnostic]:
-    """Yield the findings that concern several enclaves."""
-    by_type: dict[str, list[Inspection]] = {}
-    for each in loaded:
-        if not each.is_absent:
-            for build_type, (_, own) in each.seen.items():
-                by_type.setdefault(build_type, []).append(own)
-    for build_type, of_type in sorted(by_type.items()):
-        yield from session.plugins.build_type(build_type).check_all(of_type)
-
-
-def _without_install_hints(findings: Iterable[Diagnostic], defect: Diagnostic | None) -> Iterator[Diagnostic]:
-    """Yield findings without the hint to install, if a defect of an authority must be fixed first."""
-    for finding in findings:
-        installs = defect is not None and _INSTALLS.search(finding.help)
-        yield replace(finding, help=f"fix {defect.where} first") if installs and defect else finding
 
 
 _INSTALLS = lazy_regex(r"'keymint (install|provision)")

@@ -12,12 +12,13 @@ import os
 import pwd
 import stat
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from datetime import timedelta
 from functools import lru_cache
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from keymint.api import Artifact, BuildOptions, Inspection
+from keymint.api import Artifact, BuildOptions, Inspection, Package
 from keymint.errors import KeymintError
 from keymint.life.workspace_register import withdrawn
 from keymint.names import ROOT
@@ -27,9 +28,9 @@ from keymint.stages.documents import build_shared, enclaves_of, installed_shared
 from keymint.stages.proof.trust_anchors import shared_anchors
 from keymint.store.changes import file_mode
 from keymint.view.file_reading import FileStatus
-from keymint.view.stamps import Stamp, digest
+from keymint.view.stamps import digest
 from keymint.workspace import installed_enclaves
-from keymint.workspace.installed_enclaves import INSTALLED, copies_of, enclave_names, files_in
+from keymint.workspace.installed_enclaves import INSTALLED, KEY, copies_of, enclave_names, files_in
 from keymint.workspace.package_build_types import load_packages, record_key, users
 from keymint.workspace.session import Inputs, Session
 from keymint.workspace.workspace import GITIGNORE
@@ -46,8 +47,9 @@ _Entry = tuple[str, FileStatus]
 def file_status(inputs: Inputs) -> Iterator[Diagnostic]:
     """Yield the findings on modes, owners, links and kinds of files in all spaces."""
     workspace = inputs.workspace
-    owners = _owners(inputs)
     root = inputs.tree.status(workspace.root)
+    # Those who may own files: the owner of the workspace, the current user, and root.
+    owners = frozenset({0, os.geteuid()} | ({root.st_uid} if root else set()))
     if root is not None:
         yield from _open_to_others(inputs, [(str(workspace.root), root)])
     private = list(_walk(inputs, workspace.private))
@@ -137,6 +139,33 @@ def linked_twice(inputs: Inputs, path: Path | str, subject: str) -> Iterator[Dia
         )
 
 
+def enclave_files_on_disk(session: Session, package: Package, files: Mapping[str, bytes]) -> Iterator[Diagnostic]:
+    """Yield the findings on modes, links and recorded digests of the enclave of a package, given its files by name."""
+    name, subject, folder = package.name, package.subject, session.enclave_folder(package.name)
+    stamp = session.state.stamp(INSTALLED, name)
+    secret = stamp.secret if stamp else (KEY,)
+    yield from modes(session, folder, 0o700, subject)
+    for file in files_in(session, name):
+        path = f"{folder}/{file}"
+        is_secret = file in secret or keys.has_private_key(files.get(file, b""))
+        is_other = stamp is not None and file not in stamp.outputs
+        for each in modes(session, path, file_mode(secret=is_secret), subject):
+            if not is_other or each.code != "file-mode" or each.severity is Severity.ERROR:  # hidden ones may stay so
+                yield each
+        if session.tree.follows(path):  # within the keystore: a tool that made the enclave may have meant it
+            found = link(session, path, subject)
+            help_ = f"copy what it leads to as well ('cp -L', 'rsync -L'), or {found.help}"
+            yield replace(found, severity=Severity.NOTE, help=help_) if package.kept else found
+        if file in secret:
+            yield from linked_twice(session, path, subject)
+    if stamp is None:
+        yield unrecorded_note(f"what was installed as {subject}", subject)
+        return
+    for file, value in stamp.outputs.items():
+        if file in files and session.tree.digest(f"{folder}/{file}") != value:
+            yield changed_file(session, f"{folder}/{file}", f"'keymint install {name}' restores it", subject)
+
+
 def _private(inputs: Inputs, entries: list[_Entry]) -> Iterator[Diagnostic]:
     """Check modes and links of all private keys and their folders."""
     for path, status in entries:
@@ -210,12 +239,6 @@ def _walk(inputs: Inputs, folder: Path) -> Iterator[_Entry]:
     for path, _ in inputs.tree.walk(folder) if stat.S_ISDIR(status.st_mode) else ():
         if (status := inputs.tree.status(path)) is not None:
             yield path, status
-
-
-def _owners(inputs: Inputs) -> frozenset[int]:
-    """Return the users who may own files of a workspace: its owner, the current user, and root."""
-    status = inputs.tree.status(inputs.workspace.root)
-    return frozenset({0, os.geteuid()} | ({status.st_uid} if status else set()))
 
 
 def _writable_by_others(status: FileStatus) -> bool:
@@ -319,28 +342,33 @@ def _shared(session: Session, within: timedelta) -> tuple[Iterable[Diagnostic], 
         return error.diagnostics, files
     for name in of_types:
         stamp = session.state.stamp(INSTALLED, record_key(name))
+        recorded: Mapping[str, str] = stamp.outputs if stamp else {}
         try:
-            inspection = _inspection(session, name, within)
+            inspection = _inspection(session, name, recorded, within)
         except KeymintError as error:
             diagnostics += error.diagnostics
-            files |= set(stamp.outputs if stamp else ())
+            files |= recorded.keys()
             continue
         files |= inspection.files.keys()
-        diagnostics += _on_disk(session, name, inspection, stamp)
+        for path in sorted({*inspection.documents, *recorded, *inspection.files}):
+            secret = stamp is not None and path in stamp.secret
+            value, help_ = recorded.get(path, ""), "'keymint build' and 'keymint install' write it"
+            diagnostics += as_installed(session, session.workspace.install / path, value, help_, secret=secret)
+        if stamp is None and inspection.files:
+            diagnostics.append(unrecorded_note(f"the installed shared documents of {name}"))
         diagnostics += session.plugins.build_type(name).check_shared(inspection)
     return dict.fromkeys(diagnostics), files
 
 
-def _inspection(session: Session, name: str, within: timedelta) -> Inspection:
+def _inspection(session: Session, name: str, recorded: Iterable[str], within: timedelta) -> Inspection:
     packages = load_packages(session, name)
     # What the options of a build accept was reported and accepted when the documents were built.
     built = build_shared(session, name, BuildOptions(allow_vendor_specific=True))
-    stamp = session.state.stamp(INSTALLED, record_key(name))
     anchors = shared_anchors(session, packages, session.plugins.build_type(name))
     return Inspection(
         packages=packages,
         documents=built.documents,
-        files=installed_shared(session, sorted({*built.documents, *(stamp.outputs if stamp else ())})),
+        files=installed_shared(session, sorted({*built.documents, *recorded})),
         enclaves=enclaves_of(session, name),
         folder=session.workspace.shown(session.workspace.install),
         layout=session.profile.layout,
@@ -348,14 +376,3 @@ def _inspection(session: Session, name: str, within: timedelta) -> Inspection:
         now=session.now,
         within_days=within / timedelta(days=1),
     )
-
-
-def _on_disk(session: Session, name: str, inspection: Inspection, stamp: Stamp | None) -> Iterator[Diagnostic]:
-    """Check that the files are there, their modes, and their recorded digests."""
-    recorded: Mapping[str, str] = stamp.outputs if stamp else {}
-    for path in sorted({*inspection.documents, *recorded, *inspection.files}):
-        secret = stamp is not None and path in stamp.secret
-        value, help_ = recorded.get(path, ""), "'keymint build' and 'keymint install' write it"
-        yield from as_installed(session, session.workspace.install / path, value, help_, secret=secret)
-    if stamp is None and inspection.files:
-        yield unrecorded_note(f"the installed shared documents of {name}")
