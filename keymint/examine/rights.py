@@ -16,7 +16,6 @@ from functools import partial
 from cryptography import x509
 
 from comarmor.errors import Diagnostic, Origin
-from comarmor.values import dataclass
 from keymint import __version__, api
 from keymint.authority import authority_files
 from keymint.authority.authority_files import chains_digest
@@ -24,7 +23,7 @@ from keymint.errors import KeymintError
 from keymint.examine.weaknesses import signing_issuers
 from keymint.ir import DeferredRules, Rule, SubjectRules
 from keymint.life.examine import excess_of, outliving_rights
-from keymint.life.register import SignedRights, register_error
+from keymint.life.register import register_error
 from keymint.life.workspace_register import has_register, issuer_of, register_of
 from keymint.names import ROOT, package_name, subject_of
 from keymint.pki import certificates, distinguished_names, smime
@@ -67,8 +66,19 @@ def presented_rights(session: Session, state: State, policy: api.LoadedPolicy, e
         presentation = session.plugins.build_type(name).presentation
         if presentation is None or not (packages := _packages(session, name)):
             continue
-        question = _Question(session, policy, effort, presentation, packages)
-        claims, found, state = question.recorded(state, f"{SHARED}/presented/{name}")
+        # The answer on record holds if it depends on the same bytes.
+        key, inputs, context = f"{SHARED}/presented/{name}", _inputs(session, packages), policy_digest(policy)
+        stamp = state.stamp(STAGE, key)
+        known = _load(stamp) if stamp and (stamp.inputs, stamp.context) == (inputs, context) else None
+        # Earlier, documents may have been in force that are over by then.
+        if known and known[0] <= session.now and not effort.standard_only:
+            claims, found = known[1]
+        else:
+            claims, found = _answer(session, policy, effort, presentation, packages)
+            if not effort.standard_only and all(claim.proof is api.Proof.PROVEN for claim in claims):
+                rows = [(package, subject, excess, until.isoformat()) for package, subject, excess, until in found]
+                outputs = {"claims": dump_claims(claims), "outliving": json.dumps([session.now.isoformat(), rows])}
+                state = state.updated(STAGE, {key: Stamp(inputs, outputs, context=context)})
         for package, subject, excess, until in found:
             if until >= session.now:
                 note = outliving_rights(session, package, subject, excess, until)
@@ -88,85 +98,56 @@ def has_earlier(session: Session) -> bool:
     return len(names) > len({*names} & {*session.packages()})
 
 
-@dataclass(frozen=True, slots=True)
-class _Question:
-    """What is asked about the documents of a build type; the attributes are those of :func:`presented_rights`."""
-
-    session: Session
-    policy: api.LoadedPolicy
-    effort: ProofEffort
-    presentation: api.Presentation
-    packages: Mapping[str, api.Package]
-
-    def recorded(self, state: State, key: str) -> tuple[tuple[api.Claim, ...], tuple[_Outliving, ...], State]:
-        """Return the answer from the record if it depends on the same bytes, and the record to keep."""
-        session, stamp = self.session, state.stamp(STAGE, key)
-        inputs, context = self._inputs(), policy_digest(self.policy)
-        known = _load(stamp) if stamp and (stamp.inputs, stamp.context) == (inputs, context) else None
-        if (
-            known and known[0] <= session.now and not self.effort.standard_only
-        ):  # earlier, documents may have been in force that are over by then
-            return *known[1], state
-        claims, outliving = self._answer()
-        if self.effort.standard_only or any(claim.proof is not api.Proof.PROVEN for claim in claims):
-            return claims, outliving, state
-        outputs = {"claims": dump_claims(claims), "outliving": _dump(session.now, outliving)}
-        return claims, outliving, state.updated(STAGE, {key: Stamp(inputs, outputs, context=context)})
-
-    def _inputs(self) -> str:
-        session = self.session
-        files = (part for path in _files(session) for part in (path, session.tree.digest(path.partition(":")[0]) or ""))
-        sources = (inputs_digest(session, name) for name in self.packages)
-        register = session.tree.digest(session.workspace.register) or ""
-        return digest(__version__, session.vendors_of, chains_digest(session), register, *sources, *files)
-
-    def _answer(self) -> _Answer:
-        session, presentation = self.session, self.presentation
-        files = _files(session)
-        holders = tuple(_holders(session, self.policy, self.packages, files))
-        earlier = _earlier(session)
-        present = tuple(_documents(session, presentation.FILE, self.packages, files))
-        remembered = tuple(_remembered(session, each, content) for content, each in earlier.items())
-        own = tuple(each for each in present if each.proven_for)
-        documents = (*own, *remembered, *present)
-        task = api.PresentationTask(
-            holders, documents, session.now, self.effort.states, self.effort.deadline(), session.vendors_of
-        )
-        models = presentation.choosers()[:1] if self.effort.standard_only else presentation.choosers()
-        claims: list[api.Claim] = []
-        outliving: list[_Outliving] = []
-        for each in presentation.excess(task):
-            failing = [claim for claim in each.claims if claim.model in models]
-            known = None if each.document.proven_for else earlier.get(each.document.content)
-            if known is None:
-                claims += failing
-            elif failing and known.accepted is None:
-                subject, found = each.holder.subject, failing[0]
-                excess = excess_of(subject, found.counterexample, found.reason)
-                outliving.append((known.name, subject, excess, each.until))
-        failed = {claim.model for claim in claims}
-        excepted = dict.fromkeys(presentation.trusting_any_signer(), tuple(_signers(session, self.packages.values())))
-        universe = f"{len(holders)} certificates and {len({each.content for each in documents})} signed documents"
-        claims += (
-            api.Claim(each, _ACTION, (), universe, api.Proof.PROVEN, excepted=excepted.get(each, ()))
-            for each in models
-            if each not in failed
-        )
-        return tuple(claims), tuple(outliving)
+def _inputs(session: Session, packages: Iterable[str]) -> str:
+    """Return the digest of all that the answer depends on, but the policy."""
+    files = (part for path in _files(session) for part in (path, session.tree.digest(path.partition(":")[0]) or ""))
+    sources = (inputs_digest(session, name) for name in packages)
+    register = session.tree.digest(session.workspace.register) or ""
+    return digest(__version__, session.vendors_of, chains_digest(session), register, *sources, *files)
 
 
-def _earlier(session: Session) -> Mapping[bytes, SignedRights]:
-    """Return the entries of the register by the documents that they keep."""
+def _answer(
+    session: Session,
+    policy: api.LoadedPolicy,
+    effort: ProofEffort,
+    presentation: api.Presentation,
+    packages: Mapping[str, api.Package],
+) -> _Answer:
+    """Return the claims about the documents of the build type of some packages, and those that outlive the policy."""
+    files, register = _files(session), session.workspace.register
+    holders = tuple(_holders(session, policy, packages, files))
     try:
-        rights = (each for each in register_of(session).rights if each.not_after >= session.now)
-        return {each.content: each for each in rights}
+        earlier = {each.content: each for each in register_of(session).rights if each.not_after >= session.now}
     except ValueError:
-        raise register_error(session.workspace.origin(session.workspace.register)) from None
-
-
-def _dump(now: datetime, outliving: Iterable[_Outliving]) -> str:
-    rows = [(name, subject, excess, until.isoformat()) for name, subject, excess, until in outliving]
-    return json.dumps([now.isoformat(), rows])
+        raise register_error(session.workspace.origin(register)) from None
+    present = tuple(_documents(session, presentation.FILE, packages, files))
+    places = {
+        content: f"{session.workspace.shown(register)} ({subject_of(each.name)})" for content, each in earlier.items()
+    }
+    remembered = (api.PresentableDocument(content, Origin(place)) for content, place in places.items())
+    documents = (*(each for each in present if each.proven_for), *remembered, *present)
+    task = api.PresentationTask(holders, documents, session.now, effort.states, effort.deadline(), session.vendors_of)
+    models = presentation.choosers()[:1] if effort.standard_only else presentation.choosers()
+    claims: list[api.Claim] = []
+    outliving: list[_Outliving] = []
+    for each in presentation.excess(task):
+        failing = [claim for claim in each.claims if claim.model in models]
+        known = None if each.document.proven_for else earlier.get(each.document.content)
+        if known is None:
+            claims += failing
+        elif failing and known.accepted is None:
+            subject, found = each.holder.subject, failing[0]
+            excess = excess_of(subject, found.counterexample, found.reason)
+            outliving.append((known.name, subject, excess, each.until))
+    failed = {claim.model for claim in claims}
+    excepted = dict.fromkeys(presentation.trusting_any_signer(), tuple(_signers(session, packages.values())))
+    universe = f"{len(holders)} certificates and {len({each.content for each in documents})} signed documents"
+    claims += (
+        api.Claim(each, _ACTION, (), universe, api.Proof.PROVEN, excepted=excepted.get(each, ()))
+        for each in models
+        if each not in failed
+    )
+    return tuple(claims), tuple(outliving)
 
 
 def _load(stamp: Stamp) -> tuple[datetime, _Answer] | None:
@@ -252,11 +233,6 @@ def _signed(content: bytes, signers: Iterable[bytes], *, verify: bool) -> Signed
         except KeymintError:
             continue
     return None
-
-
-def _remembered(session: Session, rights: SignedRights, content: bytes) -> api.PresentableDocument:
-    where = Origin(f"{session.workspace.shown(session.workspace.register)} ({subject_of(rights.name)})")
-    return api.PresentableDocument(content, where)
 
 
 # -- whose certificates are in force ---------------------------------------------------------------------------------

@@ -68,24 +68,16 @@ def open_steps(session: Session) -> tuple[OpenStep, ...]:
 
 def signing_issuers(session: Session) -> tuple[str, ...]:
     """Return the authorities that issue identities and sign documents."""
-    found = uses(session)
-    return tuple(
-        name
-        for name, of_name in sorted(found.items())
-        if any(each.signs for each in of_name) and any(not each.signs for each in of_name)
-    )
+    signing = {name: {each.signs for each in of_name} for name, of_name in uses(session).items()}
+    return tuple(sorted(name for name, signs in signing.items() if signs == {True, False}))
 
 
 def lacks(session: Session) -> dict[str, list[Diagnostic]]:
     """Return what the certificates of authorities lack that they would have from Keymint, as warnings by authority."""
-    files = [read_files(session, authority) for authority in session.profile.authorities]
-    found = {
-        each.authority.name: list(
-            foreign_authorities.defects(each.certificate, each.authority.name, each.certificate_file)
-        )
-        for each in files
-        if each.certificate is not None
-    }
+    found: dict[str, list[Diagnostic]] = {}
+    for each in (read_files(session, authority) for authority in session.profile.authorities):
+        if each.certificate is not None:
+            found[each.name] = list(foreign_authorities.defects(each.certificate, each.name, each.certificate_file))
     return {name: warnings for name, warnings in found.items() if warnings}
 
 
