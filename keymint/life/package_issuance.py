@@ -68,25 +68,21 @@ def plan_issuance(session: Session, stage: str, new: Mapping[str, Issuance], det
     return Plan(tuple(steps), state.updated(_CREATE, stamps) if stamps else state)
 
 
-def _defects(session: Session, name: str, new: Issuance) -> list[Diagnostic]:
-    """Return why the authority must not decide this about a package."""
-    before = session.issuance(name)
-    subject, where = subject_of(name), place_of(session, name)
+def _defects(session: Session, name: str, new: Issuance) -> Iterator[Diagnostic]:
+    """Yield why the authority must not decide this about a package."""
+    before, subject = session.issuance(name), subject_of(name)
     if new.generation < before.generation:
-        message = f"has generation {before.generation}, and would fall to {new.generation}"
-        return [Diagnostic.error("generation-falls", message, where, "never lower a generation", subject)]
+        message, where = (
+            f"has generation {before.generation}, and would fall to {new.generation}",
+            place_of(session, name),
+        )
+        yield Diagnostic.error("generation-falls", message, where, "never lower a generation", subject)
+        return
     identity = session.package(name).identity
     if identity.serial is not None and (new.generation, new.renewed) != (before.generation, before.renewed):
-        return [
-            Diagnostic.error(
-                "serial-fixed",
-                f"the sources give the serial number {identity.serial}, so the certificate cannot be issued again",
-                identity.origin,
-                "leave <serial_number> out or empty, so that each certificate gets a number of its own",
-                subject,
-            )
-        ]
-    return []
+        message = f"the sources give the serial number {identity.serial}, so the certificate cannot be issued again"
+        help_ = "leave <serial_number> out or empty, so that each certificate gets a number of its own"
+        yield Diagnostic.error("serial-fixed", message, identity.origin, help_, subject)
 
 
 STAGE = "revoke"
@@ -127,11 +123,12 @@ def plan_revocation(session: Session, names: Sequence[str], reason: str) -> Revo
     """
     register = complete_register(session, [name for name in names if name in enclave_names(session)])
     with_sources = frozenset(session.packages())
+    of_name: dict[str, tuple[IssuedCertificate, ...]] = {}
     for name in names:
         _require_known(session, register, name)
-    of_name = {name: _to_revoke(session, register, name, reason) for name in names}
+        last = () if reason == SUPERSEDED else register.of(name)[-1:]
+        of_name[name] = register.in_force(name, session.now) or tuple(each for each in last if each.revoked is None)
     certificates = tuple(each for of_one in of_name.values() for each in of_one)
-    without = [register.of(name)[-1] for name, of_one in of_name.items() if not of_one]
     after = register.with_revoked(certificates, reason, session.now)
     packages = tuple(name for name in names if name in with_sources)
     lowest = {name: after.generation(name) for name in packages}
@@ -145,15 +142,9 @@ def plan_revocation(session: Session, names: Sequence[str], reason: str) -> Revo
     steps = [withdraw(session, name, reason, changes) for name in orphans if name in installed]
     steps += [Step(STAGE, name, Action.UPDATED, detail=reason) for name in orphans if name not in installed]
     plan = plan.then(Plan(tuple(steps), plan.state.updated(INSTALLED, {}, orphans)))
+    without = [register.of(name)[-1] for name, of_one in of_name.items() if not of_one]
     skipped = tuple(_nothing_to_revoke(last) for last in without if last.revoked is None or last.reason != reason)
     return Revoking(plan, certificates, packages, skipped, tuple(_limits(session, certificates, packages, reason)))
-
-
-def _to_revoke(session: Session, register: Register, name: str, reason: str) -> tuple[IssuedCertificate, ...]:
-    in_force = register.in_force(name, session.now)
-    if in_force or reason == SUPERSEDED:
-        return in_force
-    return tuple(each for each in register.of(name)[-1:] if each.revoked is None)
 
 
 def _require_known(session: Session, register: Register, name: str) -> None:

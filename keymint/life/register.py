@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import zlib
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import Field, field, fields, replace
 from datetime import UTC, datetime
 from typing import Any
@@ -260,19 +260,7 @@ def _column(field: Field[Any]) -> tuple[str, Any]:
     return _COLUMNS["str" if field.name == _SERIAL else str(field.type)]
 
 
-def _schema() -> Iterator[str]:
-    """Yield the statements that make an empty register."""
-    yield f"PRAGMA application_id = {_APPLICATION}"
-    yield f"PRAGMA user_version = {_VERSION}"
-    for table, kind in _TABLES.items():
-        columns = (f"{field.name} {_column(field)[0]}" for field in fields(kind))
-        yield f"CREATE TABLE {table} (number INTEGER PRIMARY KEY, {', '.join(columns)})"
-    yield f"CREATE UNIQUE INDEX issued ON certificates (issuer, {_SERIAL})"
-    yield "CREATE TABLE lists (issuer TEXT PRIMARY KEY, number INTEGER NOT NULL)"
-    yield "CREATE TABLE bundles (name TEXT PRIMARY KEY, number INTEGER NOT NULL)"
-    yield "CREATE TABLE history (is_whole INTEGER NOT NULL)"
-
-
+@functools.lru_cache(maxsize=2)  # each stage of a run reads it
 def loaded_register(content: bytes, where: Origin) -> Register:
     """Return the register of a file.
 
@@ -336,7 +324,11 @@ def _value(field: Field[Any], stored: Any) -> Any:
         raise TypeError
     if field.name == _SERIAL:
         return int(stored, 16)
-    return stored if stored is None or "datetime" not in str(field.type) else _moment(stored)
+    if stored is None or "datetime" not in str(field.type):
+        return stored
+    if (moment := datetime.fromisoformat(stored)).tzinfo is None:
+        raise ValueError
+    return moment.astimezone(UTC)
 
 
 def register_file(register: Register) -> bytes:
@@ -344,8 +336,15 @@ def register_file(register: Register) -> bytes:
     import sqlite3  # noqa: PLC0415, TID251 - in memory only, and of no use to runs that issue nothing
 
     with contextlib.closing(sqlite3.connect(":memory:")) as database:
-        for statement in _schema():
-            database.execute(statement)
+        database.execute(f"PRAGMA application_id = {_APPLICATION}")
+        database.execute(f"PRAGMA user_version = {_VERSION}")
+        for table, kind in _TABLES.items():
+            columns = (f"{field.name} {_column(field)[0]}" for field in fields(kind))
+            database.execute(f"CREATE TABLE {table} (number INTEGER PRIMARY KEY, {', '.join(columns)})")
+        database.execute(f"CREATE UNIQUE INDEX issued ON certificates (issuer, {_SERIAL})")
+        database.execute("CREATE TABLE lists (issuer TEXT PRIMARY KEY, number INTEGER NOT NULL)")
+        database.execute("CREATE TABLE bundles (name TEXT PRIMARY KEY, number INTEGER NOT NULL)")
+        database.execute("CREATE TABLE history (is_whole INTEGER NOT NULL)")
         entries = zip(_TABLES.items(), (register.certificates.values(), register.rights), strict=True)
         for (table, kind), rows in entries:
             names = [field.name for field in fields(kind)]
@@ -362,13 +361,6 @@ def _stored(name: str, value: Any) -> object:
     if name == _SERIAL:
         return f"{value:x}"
     return value.isoformat() if isinstance(value, datetime) else value
-
-
-def _moment(text: str) -> datetime:
-    moment = datetime.fromisoformat(text)
-    if moment.tzinfo is None:
-        raise ValueError
-    return moment.astimezone(UTC)
 
 
 def _numbered(row: tuple[object, ...]) -> tuple[str, int]:

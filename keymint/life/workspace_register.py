@@ -18,11 +18,7 @@ from keymint.names import subject_of
 from keymint.pki import certificates, revocation_lists, smime
 from keymint.pki.distinguished_names import to_text
 from keymint.store.changes import FolderChange, secret_file
-from keymint.workspace.installed_enclaves import (
-    enclave_files,
-    enclave_names,
-    installed_certificate,
-)
+from keymint.workspace.installed_enclaves import enclave_files, enclave_names, installed_certificate, with_sources
 from keymint.workspace.package_build_types import build_types_of, revocation_files
 from keymint.workspace.session import Inputs, Session, once
 
@@ -36,13 +32,7 @@ def register_of(session: Session) -> Register:
     """
     path = session.workspace.register
     content = session.tree.read(path)
-    return Register() if content is None else _load(content, session.workspace.shown(path))
-
-
-# Each stage of a run reads it.
-@lru_cache(maxsize=2)
-def _load(content: bytes, shown: str) -> Register:
-    return loaded_register(content, Origin(shown))
+    return Register() if content is None else loaded_register(content, session.workspace.origin(path))
 
 
 def has_register(inputs: Inputs) -> bool:
@@ -121,7 +111,7 @@ def rights_of(
 
 def _rights_found(session: Session) -> Iterator[SignedRights]:
     """Yield the signed documents of the installed enclaves."""
-    for name in set(enclave_names(session)).intersection(session.packages()):
+    for name in with_sources(session):
         certificate = installed_certificate(session, name)
         with contextlib.suppress(KeymintError):  # reported with the package
             package, files = session.package(name), enclave_files(session, name)[0]
@@ -161,17 +151,9 @@ def entry_of(
         generation: its generation.
         rights: digest of the package's documents; empty if it is not known.
     """
-    return IssuedCertificate(
-        issuer=issuer_of(issuer),
-        serial=certificate.serial_number,
-        authority=authority,
-        name=name,
-        generation=generation,
-        not_before=certificate.not_valid_before_utc,
-        not_after=certificate.not_valid_after_utc,
-        key=certificates.fingerprint(certificate),
-        rights=rights,
-    )
+    (first, last), serial = certificates.period(certificate), certificate.serial_number
+    by, key = issuer_of(issuer), certificates.fingerprint(certificate)
+    return IssuedCertificate(by, serial, authority, name, generation, first, last, key, rights)
 
 
 def _restored(session: Session, *, lossy: bool) -> Register:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import field, replace
 from itertools import chain, groupby
 from operator import and_, attrgetter
 
@@ -23,7 +23,7 @@ from comarmor.values import dataclass
 from keymint.api import InstalledEnclave, Tier, Transport, Verdict
 from keymint.api.graph import ConfusionMatrix, Edge
 from keymint.errors import KeymintError
-from keymint.verify.endpoint_policy import EdgeRow, EndpointPolicy, MappedColumn, Naming, labelled_rows, mapped_column
+from keymint.verify.endpoint_policy import EdgeRow, EndpointPolicy, MappedColumn, labelled_rows, mapped_column
 from keymint.verify.mismatch import EdgeComparison, Mismatch, Tally
 
 ENCLAVE_REFUSED = "enclave-refused"
@@ -50,6 +50,7 @@ class Asking:
     tally: Tally | None = None
 
 
+@dataclass(slots=True, eq=False)
 class TransportComparison:
     """Compares one transport with the policy.
 
@@ -61,24 +62,16 @@ class TransportComparison:
         asking: how to ask.
     """
 
-    def __init__(
-        self,
-        name: str,
-        transport: Transport,
-        enclaves: Mapping[str, InstalledEnclave],
-        explain: Explain,
-        asking: Asking,
-    ) -> None:
-        self._name = name
-        self._transport = transport
-        self._enclaves = enclaves
-        self._explain = explain
-        self._asking = asking
-        self._counts = [[0, 0], [0, 0]]
-        """Numbers of edges: first whether the policy allows them, then whether the transport does."""
-        self._findings: list[Mismatch] = []
-        self._endpoints = 0
-        self._wrong: dict[str, int] = {}
+    _name: str
+    _transport: Transport
+    _enclaves: Mapping[str, InstalledEnclave]
+    _explain: Explain
+    _asking: Asking
+    _counts: list[list[int]] = field(default_factory=lambda: [[0, 0], [0, 0]])
+    """Numbers of edges: first whether the policy allows them, then whether the transport does."""
+    _findings: list[Mismatch] = field(default_factory=list)
+    _endpoints: int = 0
+    _wrong: dict[str, int] = field(default_factory=dict)
 
     def result(self) -> EdgeComparison:
         """Return the counts and the first mismatches; the last ones are of single endpoints."""
@@ -98,7 +91,7 @@ class TransportComparison:
             KeymintError: the transport does not work.
         """
         expected, tally = iter(labels), self._asking.tally
-        for subject, labelled in label_by_subject(self._transport, self._enclaves, edges, self._asking.tier):
+        for subject, labelled in self._labelled(edges):
             wrong: list[tuple[Edge, Verdict]] = []
             count, room = 0, self._room
             for edge, verdict in labelled:
@@ -130,8 +123,17 @@ class TransportComparison:
         """
         waiting: dict[str, tuple[EdgeRow, bytes, MappedColumn]] = {}
         of_edges = len(self._findings)
-        endpoints = _endpoints(labelled_rows(rows, labels), policy.namings, waiting)
-        for subject, labelled in label_by_subject(self._transport, self._enclaves, endpoints, self._asking.tier):
+
+        def endpoints() -> Iterator[Edge]:
+            """Yield the endpoints of denied edges with several endpoints, each once, grouped by subject."""
+            for row, expected in labelled_rows(rows, labels):
+                if row.subject in policy.namings:
+                    column = mapped_column(row.column, policy.namings[row.subject])
+                    waiting[row.subject] = row, expected, column
+                    needed = dict.fromkeys(chain.from_iterable(column.denied(expected)))
+                    yield from (row.edge(column.endpoints.requests[at]) for at in needed)
+
+        for subject, labelled in self._labelled(endpoints()):
             verdicts = dict(labelled)
             row, expected, column = waiting.pop(subject)
             answers = (verdicts.get(row.edge(each)) for each in column.endpoints.requests)
@@ -189,31 +191,24 @@ class TransportComparison:
         if kept:
             self._findings += self._explain(self._name, self._enclaves[subject], kept)
 
+    def _labelled(self, edges: Iterable[Edge]) -> Iterator[tuple[str, Iterator[tuple[Edge, Verdict]]]]:
+        """Yield the labelled edges of each subject.
+
+        A transport that needs peers gets all enclaves at once. Others get one subject at a time, so that a refused
+        enclave does not affect the rest.
+        """
+        if self._asking.tier is Tier.EXCHANGE:
+            labelled = _answers(self._transport, tuple(self._enclaves.values()), edges, Tier.EXCHANGE, deque())
+            yield from groupby(labelled, key=lambda item: item[0].subject)
+            return
+        for subject, group in groupby(edges, key=attrgetter("subject")):
+            yield subject, label_enclave(self._transport, self._enclaves[subject], group, self._asking.tier)
+
     def _ask(self, subject: str, wrong: Sequence[tuple[Edge, bool]]) -> None:
         """Count mismatches of a subject; the transport is asked for its reasons of those that are kept."""
         first, enclave = dict(wrong[: self._room]), self._enclaves[subject]
         again = label_enclave(self._transport, enclave, first, self._asking.tier) if first else ()
         self._add(subject, len(wrong), [(edge, replace(verdict, allowed=first[edge])) for edge, verdict in again])
-
-
-def _endpoints(
-    rows: Iterable[tuple[EdgeRow, bytes]],
-    namings: Mapping[str, Naming],
-    waiting: dict[str, tuple[EdgeRow, bytes, MappedColumn]],
-) -> Iterator[Edge]:
-    """Yield the endpoints of denied edges with several endpoints, each once, grouped by subject.
-
-    Args:
-        rows: the edges with the policy's labels.
-        namings: the naming of each subject that has one.
-        waiting: receives the row of a subject before its first endpoint is yielded.
-    """
-    for row, expected in rows:
-        if row.subject in namings:
-            column = mapped_column(row.column, namings[row.subject])
-            waiting[row.subject] = row, expected, column
-            needed = dict.fromkeys(chain.from_iterable(column.denied(expected)))
-            yield from (row.edge(column.endpoints.requests[at]) for at in needed)
 
 
 def _halves(row: EdgeRow, labels: bytes, column: MappedColumn, admitted: bytes, policy: EndpointPolicy) -> list[Edge]:
@@ -239,22 +234,6 @@ def _admitted(transport: Transport, enclave: InstalledEnclave, column: MappedCol
         return bytes(len(column.endpoints.requests))
 
 
-def label_by_subject(
-    transport: Transport, enclaves: Mapping[str, InstalledEnclave], edges: Iterable[Edge], tier: Tier
-) -> Iterator[tuple[str, Iterator[tuple[Edge, Verdict]]]]:
-    """Yield the labelled edges of each subject.
-
-    A transport that needs peers gets all enclaves at once. Others get one subject at a time, so that a refused enclave
-    does not affect the rest.
-    """
-    if tier is Tier.EXCHANGE:
-        labelled = _answers(transport, tuple(enclaves.values()), edges, tier, deque())
-        yield from groupby(labelled, key=lambda item: item[0].subject)
-        return
-    for subject, group_of_edges in groupby(edges, key=attrgetter("subject")):
-        yield subject, label_enclave(transport, enclaves[subject], group_of_edges, tier)
-
-
 def label_enclave(
     transport: Transport, enclave: InstalledEnclave, edges: Iterable[Edge], tier: Tier
 ) -> Iterator[tuple[Edge, Verdict]]:
@@ -272,8 +251,7 @@ def label_enclave(
         if diagnostic.code != ENCLAVE_REFUSED:
             raise
         refused = Verdict(False, f"the enclave is refused: {diagnostic.message}", diagnostic.where)
-        yield from ((edge, refused) for edge in unanswered)
-        yield from ((edge, refused) for edge in waiting)
+        yield from ((edge, refused) for edge in chain(unanswered, waiting))
 
 
 def _answers(
@@ -304,9 +282,8 @@ def _answers(
 
     for edge, verdict in transport.label(enclaves, pending(), tier):
         if not unanswered or unanswered.popleft() != edge:
-            raise KeymintError(
-                "the transport answered another edge than the one it was asked", code="transport-answers"
-            )
+            message = "the transport answered another edge than the one it was asked"
+            raise KeymintError(message, code="transport-answers")
         yield edge, verdict
     if unanswered or next(waiting, None) is not None:
         raise KeymintError("the transport left edges unanswered", code="transport-answers")

@@ -163,15 +163,19 @@ class EndpointPolicy:
         return self._together([self._endpoint(endpoint, naming) for endpoint in endpoints])
 
     def _endpoint(self, endpoint: Edge, naming: Naming) -> PolicyDecision:
-        """Decide an endpoint in each of its partitions separately; the mapping may give each another name."""
-        return self._together([self._in_partition(each, naming) for each in _apart(endpoint)])
+        """Decide an endpoint in each of its partitions separately; the mapping may give each another name.
 
-    def _in_partition(self, endpoint: Edge, naming: Naming) -> PolicyDecision:
-        """Decide an endpoint by its own name and its ROS names; deny overrides allow."""
-        decisions = [self._policy.decide(edge) for edge in (endpoint, *naming.meanings(endpoint))]
-        denying = [decision for decision in decisions if not decision.allowed and decision.where]
-        allowing = [decision for decision in decisions if decision.allowed]
-        return (denying or allowing or decisions)[0]
+        There its own name and its ROS names decide; deny overrides allow.
+        """
+        parts, found, object_ = [endpoint], [], endpoint.object
+        if len(names := object_.partitions) > 1:
+            parts = [replace(endpoint, object=replace(object_, partitions=(name,) if name else ())) for name in names]
+        for part in parts:
+            decisions = [self._policy.decide(edge) for edge in (part, *naming.meanings(part))]
+            denying = [decision for decision in decisions if not decision.allowed and decision.where]
+            allowing = [decision for decision in decisions if decision.allowed]
+            found.append((denying or allowing or decisions)[0])
+        return self._together(found)
 
     @staticmethod
     def _together(decisions: Sequence[PolicyDecision]) -> PolicyDecision:
@@ -199,18 +203,14 @@ class EndpointPolicy:
             decided = self._policy.allowed(row.subject, kind, permission, names)
             for at, allowed in zip(positions, decided, strict=True):
                 labels[at] = allowed
-        for at in [*single, *self._meeting_raw_rules(row)]:
+        naming, is_raw = self.namings.get(row.subject), self._raw_test(row.subject)
+        if naming and is_raw:  # a rule on raw topics may match an endpoint of a request on a ROS name
+            column = mapped_column(row.column, naming)
+            raw = [is_raw(each.object.name) for each in column.endpoints.requests]
+            single = [*single, *(at for at, needed in enumerate(column.needed) if any(raw[each] for each in needed))]
+        for at in single:
             labels[at] = self.decide(row.edge(requests[at])).allowed
         return bytes(labels)
-
-    def _meeting_raw_rules(self, row: EdgeRow) -> Iterator[int]:
-        """Yield the requests on ROS names of which a rule on raw topics matches an endpoint."""
-        naming, is_raw = self.namings.get(row.subject), self._raw_test(row.subject)
-        if naming is None or is_raw is None:
-            return
-        column = mapped_column(row.column, naming)
-        raw = [is_raw(each.object.name) for each in column.endpoints.requests]
-        yield from (at for at, needed in enumerate(column.needed) if any(raw[each] for each in needed))
 
 
 @lru_cache(maxsize=4)
@@ -228,14 +228,6 @@ def _by_permission(
             positions.append(at)
             names.append(request.object.name)
     return plain, others
-
-
-def _apart(endpoint: Edge) -> Sequence[Edge]:
-    """Return an endpoint for each of its partitions."""
-    names = endpoint.object.partitions
-    if len(names) < 2:  # noqa: PLR2004 - nothing to take apart
-        return (endpoint,)
-    return [replace(endpoint, object=replace(endpoint.object, partitions=(name,) if name else ())) for name in names]
 
 
 def label(

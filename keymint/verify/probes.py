@@ -111,9 +111,10 @@ def names(expression: str) -> tuple[str, ...]:
 
 def _objects(rule: Rule, *, probe: bool) -> Iterator[Object]:
     """Yield the objects of a rule, and objects that probe its patterns."""
-    named = (names(each) if probe else (_example(each),) for each in rule.expressions)
+    # Something stands for each '*' of an example.
+    named = (names(each) if probe else (_filled(glob.parse(each), "x"),) for each in rule.expressions)
     for name in chain.from_iterable(named):
-        if not name or (rule.kind != RAW and name[0] != "/"):
+        if not (name and _is_plain(name)) or (rule.kind != RAW and name[0] != "/"):
             continue  # no topic has such a name
         yield from (Object(rule.kind, name, each) for each in _partitions(rule.partitions, rule.kind, probe=probe))
         for permission in rule.permissions:
@@ -158,12 +159,6 @@ def _names(expression: str) -> tuple[str, ...]:
         elif isinstance(token, Charset):
             probes += [_replaced(parsed, at, near) for near in ("", *_around(token))]
     return tuple(filter(_is_plain, probes))
-
-
-def _example(expression: str) -> str:
-    """Return a name that an expression matches, with something for each ``*``."""
-    name = _filled(glob.parse(expression), "x")
-    return name if _is_plain(name) else ""
 
 
 def _is_plain(name: str) -> bool:

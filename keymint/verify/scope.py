@@ -13,14 +13,7 @@ from typing import TypeVar
 
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
-from keymint.api import (
-    BuildType,
-    InstalledEnclave,
-    LoadedPolicy,
-    Package,
-    Role,
-    Transport,
-)
+from keymint.api import BuildType, InstalledEnclave, LoadedPolicy, Package, Role, Transport
 from keymint.api.graph import LABELLED, Column, Edge, Graph, Object, column
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
@@ -86,25 +79,14 @@ class VerificationScope:
         return replace(self, enclaves=those(self.enclaves), namings=those(self.namings), domains=those(self.domains))
 
 
-@dataclass(frozen=True, slots=True)
-class InstalledScopes:
-    """The enclaves to verify.
-
-    Attributes:
-        scopes: the scope of each build type of their packages, by its name.
-        enclaves: all enclaves by subject, sorted.
-        others: the folders of the other installed enclaves.
-        infrastructure: those of them that belong to the infrastructure of the transports.
-    """
-
-    scopes: Mapping[str, VerificationScope]
-    enclaves: Mapping[str, InstalledEnclave]
-    others: frozenset[Path]
-    infrastructure: frozenset[Path]
-
-
-def installed_scopes(session: Session, names: Sequence[str]) -> InstalledScopes:
+def installed_scopes(
+    session: Session, names: Sequence[str]
+) -> tuple[Mapping[str, VerificationScope], Mapping[str, InstalledEnclave], frozenset[Path], frozenset[Path]]:
     """Return the scopes of a verification of some packages; those of the infrastructure have no rights to verify.
+
+    Returns:
+        The scope of each build type of the packages, by its name; all enclaves by subject, sorted; the folders of the
+        other installed enclaves; and those of them that belong to the infrastructure of the transports.
 
     Raises:
         KeymintError: there are no packages, or one is not installed or has defects.
@@ -128,12 +110,15 @@ def installed_scopes(session: Session, names: Sequence[str]) -> InstalledScopes:
             help="run 'keymint build' and 'keymint install'",
             code="enclave-missing",
         )
-    packages = {package.subject: package for package in chosen.values()}
-    enclaves = {package.subject: enclave_of(session, package) for package in chosen.values()}
+    packages, install = {package.subject: package for package in chosen.values()}, session.workspace.install
+    enclaves = {
+        subject: InstalledEnclave(subject, session.enclave(package.name), package.distro, install)
+        for subject, package in sorted(packages.items())
+    }
     infrastructure = {each.name for package in chosen.values() for each in package.infrastructure}
-    return InstalledScopes(
+    return (
         {name: _scope(session, name, packages, enclaves) for name in build_types_of(chosen.values())},
-        dict(sorted(enclaves.items())),
+        enclaves,
         frozenset(session.enclave(name) for name in there.difference(chosen)),
         frozenset(session.enclave(name) for name in there.intersection(infrastructure)),
     )
@@ -142,11 +127,6 @@ def installed_scopes(session: Session, names: Sequence[str]) -> InstalledScopes:
 def build_types_of(packages: Collection[Package]) -> tuple[str, ...]:
     """Return the names of the build types of packages, in the order of the packages."""
     return tuple(dict.fromkeys(name for package in packages for name in package.build_types))
-
-
-def enclave_of(session: Session, package: Package) -> InstalledEnclave:
-    """Return the installed enclave of a package."""
-    return InstalledEnclave(package.subject, session.enclave(package.name), package.distro, session.workspace.install)
 
 
 def _scope(

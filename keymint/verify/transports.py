@@ -122,12 +122,23 @@ class Explainer:
 
     def __call__(self, transport: str, enclave: InstalledEnclave, wrong: list[tuple[Edge, Verdict]]) -> list[Mismatch]:
         """Return the mismatches of one enclave with their reasons."""
+        name = "" if self.transports[transport].usable().names_rules else self.model_of(transport)
+        models = [verdict for _, verdict in wrong]
+        if name:
+            edges = [edge for edge, _ in wrong]
+            try:
+                models = [verdict for _, verdict in label_enclave(self.models()[name], enclave, edges, Tier.DECISION)]
+            except KeymintError:
+                name = ""
         found: list[Mismatch] = []
-        for (edge, verdict), (decided, model) in zip(wrong, self._modelled(transport, enclave, wrong), strict=True):
-            modelled = self.copies.original(decided)
+        for (edge, verdict), model in zip(wrong, models, strict=True):
+            # The simulation explains what decides the same; a partial one counts as the opposite of the policy.
+            alike = model.partial == verdict.partial and (model.partial or model.allowed == verdict.allowed)
+            modelled = self.copies.original(model if alike else verdict)
             own = replace(self.copies.original(verdict), where=modelled.where, deviation=modelled.deviation)
             document = modelled.where or Origin(self.copies.back(str(enclave.folder)))
-            found.append(Mismatch(edge, self.policy.decide(edge), own, modelled.reason, document, model))
+            by = name if alike else ""
+            found.append(Mismatch(edge, self.policy.decide(edge), own, modelled.reason, document, by))
         return found
 
     def model_of(self, transport: str) -> str:
@@ -142,30 +153,7 @@ class Explainer:
         oldest = min(own, key=_number, default=next(iter(self.models()), ""))
         return max(known, key=_number, default=oldest)
 
-    def _modelled(
-        self, transport: str, enclave: InstalledEnclave, wrong: Sequence[tuple[Edge, Verdict]]
-    ) -> list[tuple[Verdict, str]]:
-        """Return the verdicts of the simulation where it decides the same, else the transport's own."""
-        plain = [(verdict, "") for _, verdict in wrong]
-        name = "" if self.transports[transport].usable().names_rules else self.model_of(transport)
-        if not name:
-            return plain
-        try:
-            edges = [edge for edge, _ in wrong]
-            models = [verdict for _, verdict in label_enclave(self.models()[name], enclave, edges, Tier.DECISION)]
-        except KeymintError:
-            return plain
-        return [
-            (model, name) if _alike(model, verdict) else (verdict, "")
-            for (_, verdict), model in zip(wrong, models, strict=True)
-        ]
-
 
 def _number(text: str) -> tuple[int, ...]:
     """Return the version at the end of a name, or that a text is, to compare it with others."""
     return tuple(map(int, re.findall(r"\d+", text.rpartition("-")[2])))
-
-
-def _alike(one: Verdict, other: Verdict) -> bool:
-    """Tell whether two verdicts decide the same; a partial one counts as the opposite of what the policy says."""
-    return one.partial == other.partial and (one.partial or one.allowed == other.allowed)

@@ -117,9 +117,8 @@ class VerificationPart:
     def about(self, subjects: Sequence[str], *, elsewhere: bool) -> VerificationPart:
         """Return the part about some of the subjects, for this machine or for another one."""
         graph = self.graph and replace(self.graph, subjects=tuple(subjects))
-        part = replace(
-            self, scope=self.scope.about(subjects), graph=graph, asking=replace(self.asking, on_subject=_unseen)
-        )
+        asking = replace(self.asking, on_subject=_unseen)
+        part = replace(self, scope=self.scope.about(subjects), graph=graph, asking=asking)
         policy = self.policy.about(subjects) if elsewhere else None
         if policy is None:
             return part

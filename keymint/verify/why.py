@@ -278,46 +278,30 @@ def nearest(rules: Sequence[Rule], edge: Edge) -> MatchedRule | None:
 
     The same object with another permission is nearer than an object with a similar name.
     """
+    kind, permission = edge.object.kind, edge.permission
     allows = [rule for rule in rules if rule.effect is Effect.ALLOW]
-    for lack in (_other_partition, _other_permission, _other_kind):
-        for rule in allows:
-            if lacks := lack(rule, edge):
-                return MatchedRule(rule, rule.origin, lacks)
-    return _similar_name(allows, edge)
-
-
-def _names(rule: Rule, edge: Edge) -> bool:
-    return any(matches(each, edge.object.name) for each in rule.expressions)
-
-
-def _other_partition(rule: Rule, edge: Edge) -> str:
-    if not (edge.object.kind == rule.kind == RAW and edge.permission in rule.permissions and _names(rule, edge)):
-        return ""
-    partitions = f"partitions {', '.join(map(repr, rule.partitions))}"
-    return f"it applies to {partitions if rule.partitions else 'the default partition only'}"
-
-
-def _other_permission(rule: Rule, edge: Edge) -> str:
-    if rule.kind == edge.object.kind and edge.permission not in rule.permissions and _names(rule, edge):
-        return f"it allows {', '.join(rule.permissions)}, not {edge.permission}"
-    return ""
-
-
-def _other_kind(rule: Rule, edge: Edge) -> str:
-    literal = any(glob.literal(glob.parse(each)) == edge.object.name for each in rule.expressions)
-    if literal and rule.kind != edge.object.kind:
-        return f"it is a {rule.kind} rule, and {edge.permission} is a permission of {edge.object.kind}"
-    return ""
-
-
-def _similar_name(allows: Sequence[Rule], edge: Edge) -> MatchedRule | None:
-    by_expression = {
-        each: rule
-        for rule in reversed(allows)
-        if rule.kind == edge.object.kind and edge.permission in rule.permissions
-        for each in rule.expressions
-    }
-    near = nearest_word(edge.object.name, by_expression)
-    if not near:
+    if lacking := [(rule, lack) for rule in allows if (lack := _lack(rule, edge))]:
+        rule, (_, text) = min(lacking, key=lambda each: each[1][0])
+        return MatchedRule(rule, rule.origin, text)
+    fitting = [rule for rule in reversed(allows) if rule.kind == kind and permission in rule.permissions]
+    by_expression = {each: rule for rule in fitting for each in rule.expressions}
+    if not (near := nearest_word(edge.object.name, by_expression)):
         return None
     return MatchedRule(by_expression[near], by_expression[near].origin, f"it applies to {near!r}; did you mean that?")
+
+
+def _lack(rule: Rule, edge: Edge) -> tuple[int, str] | None:
+    """Return what an ALLOW rule lacks to permit an edge on its object, in words, after a rank: the nearest first.
+
+    None: it is about another object.
+    """
+    kind, permission = edge.object.kind, edge.permission
+    named = any(matches(each, edge.object.name) for each in rule.expressions)
+    if named and kind == rule.kind == RAW and permission in rule.permissions:
+        partitions = f"partitions {', '.join(map(repr, rule.partitions))}"
+        return 0, f"it applies to {partitions if rule.partitions else 'the default partition only'}"
+    if named and kind == rule.kind and permission not in rule.permissions:
+        return 1, f"it allows {', '.join(rule.permissions)}, not {permission}"
+    if kind != rule.kind and any(glob.literal(glob.parse(each)) == edge.object.name for each in rule.expressions):
+        return 2, f"it is a {rule.kind} rule, and {permission} is a permission of {kind}"
+    return None

@@ -32,12 +32,7 @@ from keymint.store.changes import Action, Step
 from keymint.verify.compare import Asking
 from keymint.verify.copies import enclave_copies
 from keymint.verify.mismatch import Mismatch, Tally
-from keymint.verify.scope import (
-    VerificationScope,
-    installed_scopes,
-    selective,
-    subjects_of_graph,
-)
+from keymint.verify.scope import VerificationScope, installed_scopes, selective, subjects_of_graph
 from keymint.verify.transports import choose
 from keymint.verify.verification import Verification, verified_in_parts
 from keymint.workspace.policy_loading import load_policy
@@ -101,20 +96,19 @@ def verify(
         chosen, tier = (*chosen, "ros"), tier if tier == Tier.EXCHANGE else str(Tier.ADMISSION)
     tally = Tally() if ros else None
     chosen_names = with_enclaves(session, run.names(session, names), names)
-    there = installed_scopes(session, chosen_names)
+    installed, enclaves, others, infrastructure = installed_scopes(session, chosen_names)
     # A transport trusts the authorities in the enclave; they must be the workspace's.
     foreign = differences(session, chosen_names)
     policy = load_policy(session)
-    groups = choose(run.plugins, chosen, Tier(tier), tuple(there.scopes), session.vendors_of or session.profile.distro)
-    scopes = {name: selective(there.scopes[name], group.values()) for name, group in groups.items()}
+    groups = choose(run.plugins, chosen, Tier(tier), tuple(installed), session.vendors_of or session.profile.distro)
+    scopes = {name: selective(installed[name], group.values()) for name, group in groups.items()}
     transports = [transport for group in groups.values() for transport in group.values()]
     system = None if graph is None else subjects_of_graph(
-        load(read_input(run, graph), str(graph)), there.enclaves, only=bool(names)
+        load(read_input(run, graph), str(graph)), enclaves, only=bool(names)
     )  # fmt: skip
-    with enclave_copies(
-        session.tree, session.workspace.install, there.enclaves, transports, there.others, there.infrastructure
-    ) as copies:
-        total = sum((1 + len(group)) * len(there.scopes[name].enclaves) for name, group in groups.items())
+    install = session.workspace.install
+    with enclave_copies(session.tree, install, enclaves, transports, others, infrastructure) as copies:
+        total = sum((1 + len(group)) * len(installed[name].enclaves) for name, group in groups.items())
         with run.console.progress(total, run.setting.monotonic) as advance:
             asking = Asking(
                 Tier(tier), limit, lambda name, subject: advance(Step(name, subject, Action.UNCHANGED)), tally
@@ -141,7 +135,7 @@ def verify(
     wrong = any(outcome.confusion.errors for outcome in outcomes)
     return run.report(
         result,
-        (*foreign, *_unasked(there.scopes, groups, system, Tier(tier), chosen), *diagnostics(outcomes)),
+        (*foreign, *_unasked(installed, groups, system, Tier(tier), chosen), *diagnostics(outcomes)),
         findings_if(wrong or foreign),
         workspace=session.workspace,
     )
