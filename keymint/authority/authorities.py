@@ -58,9 +58,7 @@ def plan_authority_issuance(session: Session, name: str, new: AuthorityIssuance,
             code="profile-without-issuance",
         )
     changes = folder_changes(session.tree, session.workspace.profile, files)
-    if not changes:
-        return Plan((), session.state)
-    return Plan((Step(STAGE, "", Action.UPDATED, changes, detail),), session.state)
+    return Plan((Step(STAGE, "", Action.UPDATED, changes, detail),) if changes else (), session.state)
 
 
 _OPTION = "--new-authority"
@@ -126,7 +124,9 @@ def plan_authorities(session: Session, new: Sequence[str] = ()) -> tuple[Plan, M
     for authority in authority_files.in_order(session.profile.authorities):
         if authority.certificate.issuer and authority.certificate.issuer not in minted:
             continue  # its issuer has a defect
-        files = authority_files.read_files(session, authority).as_adopted()
+        files = authority_files.read_files(session, authority)
+        if pem := authority.certificate.adopted:
+            files = replace(files, content=pem, certificate=certificates.load(pem))
         with defects:
             result, changes, diagnostics = _plan_authority(session, files, minted, renew=authority.name in new)
             minted[authority.name] = result

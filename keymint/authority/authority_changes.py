@@ -56,22 +56,16 @@ def plan_renewal(session: Session, name: str) -> Plan:
         raise KeymintError(message, where=authority.certificate.origin, help=help_, code="authority-reordered")
     issuance = replace(authority.issuance, renewed=periods.begin(session.now))
     if authority.issuance.adopted:
-        issuance = replace(issuance, adopted=_adopted_again(session, authority, minted))
+        where = session.workspace.origin(session.workspace.authority_certificate(name))
+        is_of_today = minted.certificate.not_valid_after_utc >= _later_end(session, authority, minted.certificate)
+        if not is_of_today or any(foreign_authorities.defects(minted.certificate, name, where)):
+            pem = issued_like(session, authority, minted.certificate, minted.issuer.key)
+        issuance = replace(issuance, adopted=pem)
     plan = plan_authority_issuance(session, name, issuance, f"{name} renewed on {session.now:%Y-%m-%d}")
     after = authority_named(session.after(plan).session(), name).certificate
     if (after.validity, after.adopted) == (authority.certificate.validity, authority.certificate.adopted):
         return Plan((), session.state)  # it would not end later
     return plan
-
-
-def _adopted_again(session: Session, authority: Authority, minted: MintedAuthority) -> bytes:
-    """Return the successor of an imported certificate, or the certificate itself if it is from today."""
-    certificate = minted.certificate
-    where = session.workspace.origin(session.workspace.authority_certificate(authority.name))
-    is_of_today = certificate.not_valid_after_utc >= _later_end(session, authority, certificate)
-    if is_of_today and not any(foreign_authorities.defects(certificate, authority.name, where)):
-        return certificates.to_pem(certificate)
-    return issued_like(session, authority, certificate, minted.issuer.key)
 
 
 def _later_end(session: Session, authority: Authority, certificate: x509.Certificate) -> datetime:
@@ -320,9 +314,8 @@ def implementations(session: Session, chosen: Collection[str] = ()) -> dict[str,
     """
     build_types = sorted({use.build_type for of_authority in uses(session).values() for use in of_authority})
     build_types = build_types or sorted(session.profile.build_types)
-    known: dict[str, Sequence[Implementation]] = {}
-    for name in build_types:
-        known[name] = session.plugins.build_type(name, session.profile_marker()).implementations()
+    where = session.profile_marker()
+    known = {name: session.plugins.build_type(name, where).implementations() for name in build_types}
     names = {each.name for of_type in known.values() for each in of_type}
     for name in chosen:
         if name not in names:

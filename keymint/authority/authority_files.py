@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import field
 
 from cryptography import x509
 
@@ -72,14 +72,7 @@ class AuthorityFiles:
 
     def known(self) -> frozenset[str]:
         """Return the fingerprint of the recorded key, or else those of the keys that installed enclaves trust."""
-        if self.recorded:
-            return frozenset({self.recorded})
-        return frozenset(certificates.fingerprint(each) for each in self.in_use())
-
-    def as_adopted(self) -> AuthorityFiles:
-        """Return the files with the certificate that the profile adopts, if it adopts one."""
-        pem = self.authority.certificate.adopted
-        return replace(self, content=pem, certificate=certificates.load(pem)) if pem else self
+        return frozenset([self.recorded] if self.recorded else map(certificates.fingerprint, self.in_use()))
 
 
 def read_files(session: Session, authority: Authority, *, deployed: bool = True) -> AuthorityFiles:

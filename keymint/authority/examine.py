@@ -20,7 +20,7 @@ from keymint.authority.authority_files import AuthorityFiles, in_order, new_auth
 from keymint.errors import KeymintError
 from keymint.pki import certificates, distinguished_names, keys
 from keymint.workspace.package_build_types import is_build_current, issuers_of
-from keymint.workspace.session import Inputs, Session, once
+from keymint.workspace.session import Session, once
 from keymint.workspace.stored_keys import AUTHORITY_KEYS, recorded_key
 
 DECIDED_BY_A_PERSON = frozenset(
@@ -177,8 +177,12 @@ def contradictions(session: Session) -> Mapping[str, tuple[Diagnostic, ...]]:
     """
     by_authority: dict[str, tuple[Diagnostic, ...]] = {}
     for authority in in_order(session.profile.authorities):
-        files = read_files(session, authority, deployed=False)
-        own = () if files.content is None else certificate_contradictions(files, _key(session, files))
+        files, key = read_files(session, authority, deployed=False), None
+        if not authority.certificate.key.uri:
+            with suppress(KeymintError):  # a private key that cannot be read is no evidence
+                stored = stored_key(session, authority, files.name)
+                key = stored[1].public_key() if stored else None
+        own = () if files.content is None else certificate_contradictions(files, key)
         if all_ := (*own, *by_authority.get(authority.certificate.issuer, ())):
             by_authority[authority.name] = all_
     return by_authority
@@ -217,12 +221,3 @@ def certificate_contradictions(files: AuthorityFiles, key: keys.PublicKey | None
             )
         require_in_use(files, key or public)
     return tuple(defects.found)
-
-
-def _key(inputs: Inputs, files: AuthorityFiles) -> keys.PublicKey | None:
-    """Return the public key of the stored private key of an authority; one that cannot be read is no evidence."""
-    if not files.authority.certificate.key.uri:
-        with suppress(KeymintError):
-            stored = stored_key(inputs, files.authority, files.name)
-            return stored[1].public_key() if stored else None
-    return None

@@ -14,21 +14,13 @@ Each exchange of keys is one group of changes. A run that was killed within it i
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 from cryptography import x509
 
-from keymint.api import Authority, AuthorityIssuance, Phase, Rollover, SigningAuthority
-from keymint.authority import authority_files, examine
-from keymint.authority.authorities import (
-    STAGE,
-    MintedAuthority,
-    authority_named,
-    only_in_token,
-    plan_authorities,
-    plan_authority_issuance,
-)
+from keymint.api import Authority, AuthorityIssuance, Phase, Rollover
+from keymint.authority import authorities, authority_files, examine
+from keymint.authority.authorities import STAGE, authority_named, plan_authorities, plan_authority_issuance
 from keymint.authority.authority_changes import GivenAuthority, cert_and_key, issued_like, issuer_of
 from keymint.authority.authority_files import FORMER, NEXT
 from keymint.errors import KeymintError
@@ -59,7 +51,7 @@ def plan_begin(session: Session, name: str, phase: Phase, given: GivenAuthority 
     authority = authority_named(session, name)
     _require_free_names(session, name)
     if authority.certificate.key.uri:
-        raise only_in_token(
+        raise authorities.only_in_token(
             authority,
             "phases exchange keys in files. Make a new key in the token, name it in <pkcs11>, and run 'keymint install "
             f"--new-authority {name}': then all enclaves change at one restart",
@@ -143,7 +135,7 @@ def plan_end(session: Session, name: str) -> Plan:
     """Plan that enclaves no longer trust the former authority, whose private key is removed (:attr:`Phase.REISSUE`)."""
     issuance = replace(authority_named(session, name).issuance, rollover=None)
     decided = plan_authority_issuance(session, name, issuance, f"{name}: replaced")
-    return replace(decided, steps=(*decided.steps, *_without_key(session, name, FORMER)))
+    return replace(decided, steps=(*decided.steps, *without_keys(session, name, FORMER)))
 
 
 def plan_cancel(session: Session, name: str) -> Plan:
@@ -162,13 +154,16 @@ def plan_cancel(session: Session, name: str) -> Plan:
         )
     decided = plan_authority_issuance(session, name, replace(authority.issuance, rollover=None), f"{name}: cancelled")
     key, former = (session.tree.read(session.workspace.authority_key(each)) for each in (name, f"{name}.{FORMER}"))
-    copied = _without_key(session, name, FORMER) if key == former else ()  # by a run that was killed
-    return replace(decided, steps=(*decided.steps, *_without_key(session, name, NEXT), *copied))
+    suffixes = (NEXT, FORMER) if key == former else (NEXT,)  # a run that was killed copied it
+    return replace(decided, steps=(*decided.steps, *without_keys(session, name, *suffixes)))
 
 
-def left_over(session: Session, name: str) -> tuple[Step, ...]:
-    """Return what removes the private keys that a killed run left beside the one in force, which nobody trusts."""
-    return (*_without_key(session, name, NEXT), *_without_key(session, name, FORMER))
+def without_keys(session: Session, name: str, *suffixes: str) -> tuple[Step, ...]:
+    """Return what removes the private keys of an authority with some suffixes, e.g. those that a killed run left."""
+    paths = {suffix: session.workspace.authority_key(f"{name}.{suffix}") for suffix in suffixes}
+    there = {suffix: path for suffix, path in paths.items() if session.tree.has_file(path)}
+    changes = {suffix: FolderChange(each.parent, removed=(each.name,), private=True) for suffix, each in there.items()}
+    return tuple(Step(STAGE, name, Action.REMOVED, (each,), f"{suffix} key") for suffix, each in changes.items())
 
 
 def is_interrupted(session: Session, name: str) -> bool:
@@ -291,14 +286,6 @@ def _issuance_of(session: Session, name: str, pem: bytes) -> AuthorityIssuance:
     return replace(plain, adopted=pem)
 
 
-def _without_key(session: Session, name: str, suffix: str) -> tuple[Step, ...]:
-    path = session.workspace.authority_key(f"{name}.{suffix}")
-    if not session.tree.has_file(path):
-        return ()
-    change = FolderChange(path.parent, removed=(path.name,), private=True)
-    return (Step(STAGE, name, Action.REMOVED, (change,), f"{suffix} key"),)
-
-
 def _require_free_names(session: Session, name: str) -> None:
     """Require that no other authority has the files of the keys that are not in force.
 
@@ -314,40 +301,3 @@ def _require_free_names(session: Session, name: str) -> None:
                 help="rename it",
                 code="authority-name-taken",
             )
-
-
-def other_authorities(session: Session) -> Mapping[str, tuple[str, MintedAuthority]]:
-    """Return the authorities that enclaves trust beside those in force, by the name of their files.
-
-    Returns:
-        Each with the name of the authority in force.
-    """
-    return {
-        authority_files.other(each): (each.name, _other(session, each, rollover.certificate))
-        for each in session.profile.authorities
-        if (rollover := authority_files.current_rollover(each))
-    }
-
-
-def list_removals(session: Session, stage: str) -> Iterator[Step]:
-    """Yield what removes the revocation lists of authorities that enclaves trust no more, or not yet."""
-    for each in session.profile.authorities:
-        for suffix in (NEXT, FORMER):
-            name = f"{each.name}.{suffix}"
-            path = session.workspace.revocation_list(name)
-            if name != authority_files.other(each) and session.tree.has_file(path):
-                yield Step(stage, name, Action.REMOVED, (FolderChange(path.parent, removed=(path.name,)),))
-
-
-def _other(session: Session, authority: Authority, pem: bytes) -> MintedAuthority:
-    certificate, name = certificates.load(pem), authority_files.other(authority)
-    try:
-        found = authority_files.stored_key(session, authority, name)
-    except KeymintError as error:
-        return MintedAuthority(certificate, error)
-    if found and keys.matches(found[1], certificate):
-        signer = SigningAuthority(authority.name, pem, found[0], password(session, authority.certificate))
-        return MintedAuthority(certificate, (certificates.Issuer(certificate, found[1]), signer))
-    where = session.workspace.origin(session.workspace.authority_key(name))
-    missing = authority_files.key_elsewhere(name, where, "restore it: it signs a revocation list")
-    return MintedAuthority(certificate, missing)

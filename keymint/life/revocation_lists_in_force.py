@@ -6,22 +6,24 @@ The register says what is revoked. A list that a killed run did not write is wri
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from datetime import datetime
 
 from cryptography import x509
 
 from comarmor.errors import Origin
+from keymint.api import Authority, SigningAuthority
 from keymint.authority import authority_files
 from keymint.authority.authorities import MintedAuthority
-from keymint.authority.rollover import list_removals, other_authorities
+from keymint.authority.authority_files import FORMER, NEXT
 from keymint.errors import KeymintError
 from keymint.life.register import Register
 from keymint.life.workspace_register import issuer_of, register_change, register_of
-from keymint.pki import revocation_lists
+from keymint.pki import certificates, keys, revocation_lists
 from keymint.pki.revocation_lists import Revocation, RevocationList
 from keymint.store.changes import Action, File, FolderChange, Plan, Step
 from keymint.workspace.session import Session, once
+from keymint.workspace.stored_keys import password
 
 STAGE = "crl"
 
@@ -87,8 +89,16 @@ def plan_lists(
             issued by an authority that cannot sign lists or whose key is not here.
     """
     register = register_of(session) if register is None else register
-    steps: list[Step] = [*list_removals(session, STAGE)]
-    others = other_authorities(session)
+    suffixed = [(each, f"{each.name}.{suffix}") for each in session.profile.authorities for suffix in (NEXT, FORMER)]
+    # Enclaves do not trust the issuers of these any more, or not yet.
+    former = [name for each, name in suffixed if name != authority_files.other(each)]
+    steps = [step for name in former for step in _removal(session, name)]
+    # Those that enclaves trust beside those in force, by the name of their files.
+    others = {
+        authority_files.other(each): (each.name, _other(session, each, rollover.certificate))
+        for each in session.profile.authorities
+        if (rollover := authority_files.current_rollover(each))
+    }
     all_authorities = {**authorities, **{name: minted for name, (_, minted) in others.items()}}
     present_lists = {name: _present(session, name, minted, refresh) for name, minted in all_authorities.items()}
     issuers = {name: issuer_of(minted.certificate) for name, minted in all_authorities.items()}
@@ -102,8 +112,7 @@ def plan_lists(
         if present is not None and session.tree.has_file(session.workspace.register):
             _require_known(session, name, present, revoked)
         if present is None and not revoked and name not in refresh and name not in paired:
-            if session.tree.has_file(path):  # by an earlier authority of this name, which nobody trusts any more
-                steps.append(Step(STAGE, name, Action.REMOVED, (FolderChange(path.parent, removed=(path.name,)),)))
+            steps += _removal(session, name)  # by an earlier authority of this name, which nobody trusts any more
             continue
         serials = {each.serial for each in present.revocations} if present else frozenset[int]()
         # A list that begins later than now was issued by a clock that was ahead; but none begins before its authority.
@@ -121,6 +130,28 @@ def plan_lists(
         detail = f"number {number}, {len(revocations)} revoked"
         steps.append(Step(STAGE, name, action, (FolderChange(path.parent, {path.name: File(pem)}),), detail))
     return Plan(tuple(steps), session.state, first=register_change(session, register))
+
+
+def _removal(session: Session, name: str) -> Iterator[Step]:
+    """Yield what removes the revocation list of an authority that nobody trusts, if there is one."""
+    path = session.workspace.revocation_list(name)
+    if session.tree.has_file(path):
+        yield Step(STAGE, name, Action.REMOVED, (FolderChange(path.parent, removed=(path.name,)),))
+
+
+def _other(session: Session, authority: Authority, pem: bytes) -> MintedAuthority:
+    """Return the authority that enclaves trust beside the one in force, given its certificate."""
+    certificate, name = certificates.load(pem), authority_files.other(authority)
+    try:
+        found = authority_files.stored_key(session, authority, name)
+    except KeymintError as error:
+        return MintedAuthority(certificate, error)
+    if found and keys.matches(found[1], certificate):
+        signer = SigningAuthority(authority.name, pem, found[0], password(session, authority.certificate))
+        return MintedAuthority(certificate, (certificates.Issuer(certificate, found[1]), signer))
+    where = session.workspace.origin(session.workspace.authority_key(name))
+    missing = authority_files.key_elsewhere(name, where, "restore it: it signs a revocation list")
+    return MintedAuthority(certificate, missing)
 
 
 def _present(session: Session, name: str, minted: MintedAuthority, refresh: Collection[str]) -> RevocationList | None:

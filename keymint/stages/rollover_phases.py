@@ -20,7 +20,7 @@ from keymint.api import Phase
 from keymint.authority import rollover
 from keymint.authority.authorities import MintedAuthority, authority_named, plan_authorities
 from keymint.authority.authority_changes import GivenAuthority, refusing_implementations
-from keymint.authority.authority_files import NEXT
+from keymint.authority.authority_files import FORMER, NEXT
 from keymint.authority.rollover import phase_of, plan_switch, staged_session
 from keymint.errors import KeymintError, usage_error
 from keymint.life.revocation_lists_in_force import plan_lists
@@ -191,7 +191,8 @@ def phase_plan(crew: Crew, session: Session, name: str, request: PhaseRequest) -
     if request.cancel or (phase is None and request.phase is Phase.END):
         # Without a phase there may be something missing of an end that a killed run began.
         begun = phase is not None
-        first = rollover.plan_cancel(session, name) if begun else Plan(rollover.left_over(session, name), session.state)
+        left = Plan(rollover.without_keys(session, name, NEXT, FORMER), session.state)
+        first = rollover.plan_cancel(session, name) if begun else left
         first = replace(first, steps=(*first.steps, *dropped_keystore(session)))
         return conduct(Work(session).then(first), Request(names), crew).plan
     if phase is None:
