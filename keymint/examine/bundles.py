@@ -71,13 +71,14 @@ def accept(bundle: Bundle, present: Present, owner: Owner, now: datetime, where:
             ``bundle-outdated``: a number would go back. ``bundle-key``: the keystore does not have its key.
             ``bundle-dates``, ``bundle-chain``, ``bundle-revoked``: nodes would not start with it.
     """
-    question = _BundleQuestion(bundle, present, owner, now, where)
-    question.require_known_authorities()
-    before = question.accepted_last()
-    question.require_later(before)
-    question.require_expected(before)
-    key = question.private_key()
-    question.require_in_force()
+    was_accepted = bundle.encoded == present.files.get(RECORD)
+    _require_known_authorities(bundle, present, owner.authorities, where, was_accepted=was_accepted)
+    before = _accepted_last(present)
+    if not was_accepted:
+        _require_later(bundle, present, before, where)
+    _require_expected(bundle.manifest, present, owner, before, where)
+    key = _private_key(bundle, present, where)
+    _require_in_force(bundle, now, where)
     wanted = {**bundle.files, **({KEY: key} if key else {}), RECORD: bundle.encoded}
     files = {name: content for name, content in wanted.items() if present.files.get(name) != content}
     # A key of an earlier request is of no use beside a certificate for another one.
@@ -93,147 +94,144 @@ def accept(bundle: Bundle, present: Present, owner: Owner, now: datetime, where:
     return Acceptance(ordered, removed, answered, tuple(notes))
 
 
-class _BundleQuestion:
-    """Whether an enclave may become what a bundle says; arguments and errors are those of :func:`accept`."""
+# -- who it is by ------------------------------------------------------------------------------------------------
 
-    def __init__(self, bundle: Bundle, present: Present, owner: Owner, now: datetime, where: Origin) -> None:
-        self._bundle = bundle
-        self._manifest = bundle.manifest
-        self._present = present
-        self._owner = owner
-        self._now = now
-        self._where = where
-        self._was_accepted = bundle.encoded == present.files.get(RECORD)
 
-    def _refusal(self, code: str, message: str, help_: str) -> KeymintError:
-        return KeymintError(message, where=self._where, help=help_, code=code)
+def _require_known_authorities(
+    bundle: Bundle, present: Present, given: frozenset[str], where: Origin, *, was_accepted: bool
+) -> None:
+    """Require that the authorities can be compared, and are those of the keystore, or given by hand.
 
-    # -- who it is by ------------------------------------------------------------------------------------------------
+    What the keystore knows by the name of a file stays: also the signer of the manifest may not exchange the
+    authority for rights, and that one signs no manifest. A file that no enclave has yet is vouched for by the
+    signer.
+    """
+    for name in bundle.files.keys() - bundle.authorities.keys() - {CERTIFICATE}:
+        if _AUTHORITY in name:  # e.g. a reference to a token, which nodes would prefer
+            message = f"its file {name} names an authority in a form that cannot be compared"
+            help_ = "ask the authority for a bundle with certificates in PEM"
+            raise KeymintError(message, where=where, help=help_, code="bundle-authority")
+    signer = bundle.manifest.authority
+    give = "('keymint authority show') and give it with --authority-fingerprint"
+    trusted = was_accepted or signer in given
+    for name, chain in bundle.authorities.items():
+        known = present.known.get(name)
+        if known is None:
+            continue
+        trusted = trusted or (name in present.issuing and bundle.signer in chain and signer in known)
+        if any(certificates.fingerprint(each) not in known | given for each in chain):
+            message = f"its file {name} has another authority than the enclaves in this keystore"
+            help_ = f"if the authorities changed, ask their owner for the fingerprint {give}"
+            raise KeymintError(message, where=where, help=help_, code="bundle-authority")
+    if not trusted:
+        nobody = "no enclave in this keystore does" if present.known else "this keystore trusts no authority yet"
+        message = f"it is by an authority whom nobody vouches for: {nobody}"
+        help_ = f"ask its owner for the fingerprint of the key {give}"
+        raise KeymintError(message, where=where, help=help_, code="bundle-authority")
 
-    def require_known_authorities(self) -> None:
-        """Require that the authorities can be compared, and are those of the keystore, or given by hand.
 
-        What the keystore knows by the name of a file stays: also the signer of the manifest may not exchange the
-        authority for rights, and that one signs no manifest. A file that no enclave has yet is vouched for by the
-        signer.
-        """
-        for name in self._bundle.files.keys() - self._bundle.authorities.keys() - {CERTIFICATE}:
-            if _AUTHORITY in name:  # e.g. a reference to a token, which nodes would prefer
-                message = f"its file {name} names an authority in a form that cannot be compared"
-                help_ = "ask the authority for a bundle with certificates in PEM"
-                raise self._refusal("bundle-authority", message, help_)
-        present, given, signer = self._present, self._owner.authorities, self._manifest.authority
-        give = "('keymint authority show') and give it with --authority-fingerprint"
-        trusted = self._was_accepted or signer in given
-        for name, chain in self._bundle.authorities.items():
-            known = present.known.get(name)
-            if known is None:
-                continue
-            trusted = trusted or (name in present.issuing and self._bundle.signer in chain and signer in known)
-            if any(certificates.fingerprint(each) not in known | given for each in chain):
-                message = f"its file {name} has another authority than the enclaves in this keystore"
-                help_ = f"if the authorities changed, ask their owner for the fingerprint {give}"
-                raise self._refusal("bundle-authority", message, help_)
-        if not trusted:
-            nobody = "no enclave in this keystore does" if present.known else "this keystore trusts no authority yet"
-            message = f"it is by an authority whom nobody vouches for: {nobody}"
-            help_ = f"ask its owner for the fingerprint of the key {give}"
-            raise self._refusal("bundle-authority", message, help_)
+# -- whom it is for ----------------------------------------------------------------------------------------------
 
-    # -- whom it is for ----------------------------------------------------------------------------------------------
 
-    def accepted_last(self) -> Manifest | None:
-        """Return the manifest of the bundle that the enclave came from, or None."""
-        encoded = self._present.files.get(RECORD)
-        if encoded is None:
-            return None
-        where = Origin(f"{self._present.folder}/{RECORD}")
+def _accepted_last(present: Present) -> Manifest | None:
+    """Return the manifest of the bundle that the enclave came from, or None."""
+    encoded = present.files.get(RECORD)
+    if encoded is None:
+        return None
+    where = Origin(f"{present.folder}/{RECORD}")
+    try:
+        return load(encoded, where)
+    except KeymintError:
+        message = "is not the manifest of the bundle that was accepted last, so its numbers are not known"
+        help_ = "restore it; or remove it, and take only a bundle that you know to be the latest"
+        raise KeymintError(message, where=where, help=help_, code="bundle-record") from None
+
+
+def _require_expected(
+    manifest: Manifest, present: Present, owner: Owner, before: Manifest | None, where: Origin
+) -> None:
+    """Require that the enclave is one of the keystore, and that the bundle answers none but its last request."""
+    pending, is_new = present.pending, not present.files
+    nonces = {pending.request.nonce} if pending else set[str]()
+    nonces |= {before.nonce} if before else set()
+    asks = pending is not None and is_new and pending.request.fingerprint == manifest.key
+    if (manifest.nonce or asks) and manifest.nonce not in nonces:
+        message = f"it does not answer the request that {manifest.enclave} of this keystore made last"
+        help_ = "make a new request with 'keymint request', or take the answer to the last one"
+        raise KeymintError(message, where=where, help=help_, code="bundle-nonce")
+    if is_new and pending is None and not owner.new:
+        message = f"it is for {manifest.enclave}, which this keystore does not have and did not request"
+        help_ = "if it is for this robot, say --new"
+        raise KeymintError(message, where=where, help=help_, code="bundle-unexpected")
+
+
+def _private_key(bundle: Bundle, present: Present, where: Origin) -> bytes:
+    """Return the private key of the enclave, PEM; empty if it is not in a file, but in a token."""
+    wanted, brought = bundle.manifest.key, bundle.files.get(KEY, b"")
+    here = (brought,) if brought else (present.pending.key if present.pending else b"", present.files.get(KEY, b""))
+    for pem in filter(None, here):
         try:
-            return load(encoded, where)
-        except KeymintError:
-            message = "is not the manifest of the bundle that was accepted last, so its numbers are not known"
-            help_ = "restore it; or remove it, and take only a bundle that you know to be the latest"
-            raise KeymintError(message, where=where, help=help_, code="bundle-record") from None
+            if keys.fingerprint(keys.public_of(pem)) == wanted:
+                return pem
+        except KeymintError as error:
+            if error.diagnostics[0].code == "key-password":  # nobody here can tell which it is, so it may be this
+                return pem
+    if not brought and _is_elsewhere(present, wanted):
+        return b""
+    message = f"it certifies the key {wanted}, which {bundle.manifest.enclave} in this keystore does not have"
+    help_ = "it may be for another robot; or make a new request with 'keymint request'"
+    raise KeymintError(message, where=where, help=help_, code="bundle-key")
 
-    def require_expected(self, before: Manifest | None) -> None:
-        """Require that the enclave is one of the keystore, and that the bundle answers none but its last request."""
-        manifest, pending, is_new = self._manifest, self._present.pending, not self._present.files
-        nonces = {pending.request.nonce} if pending else set[str]()
-        nonces |= {before.nonce} if before else set()
-        asks = pending is not None and is_new and pending.request.fingerprint == manifest.key
-        if (manifest.nonce or asks) and manifest.nonce not in nonces:
-            message = f"it does not answer the request that {manifest.enclave} of this keystore made last"
-            help_ = "make a new request with 'keymint request', or take the answer to the last one"
-            raise self._refusal("bundle-nonce", message, help_)
-        if is_new and pending is None and not self._owner.new:
-            message = f"it is for {manifest.enclave}, which this keystore does not have and did not request"
-            raise self._refusal("bundle-unexpected", message, "if it is for this robot, say --new")
 
-    def private_key(self) -> bytes:
-        """Return the private key of the enclave, PEM; empty if it is not in a file, but in a token."""
-        wanted, present = self._manifest.key, self._present
-        brought = self._bundle.files.get(KEY, b"")
-        here = (brought,) if brought else (present.pending.key if present.pending else b"", present.files.get(KEY, b""))
-        for pem in filter(None, here):
-            try:
-                if keys.fingerprint(keys.public_of(pem)) == wanted:
-                    return pem
-            except KeymintError as error:
-                if error.diagnostics[0].code == "key-password":  # nobody here can tell which it is, so it may be this
-                    return pem
-        if not brought and _is_elsewhere(present, wanted):
-            return b""
-        message = f"it certifies the key {wanted}, which {self._manifest.enclave} in this keystore does not have"
-        help_ = "it may be for another robot; or make a new request with 'keymint request'"
-        raise self._refusal("bundle-key", message, help_)
+# -- when it is for ----------------------------------------------------------------------------------------------
 
-    # -- when it is for ----------------------------------------------------------------------------------------------
 
-    def require_in_force(self) -> None:
-        """Require that nodes start with it now: a list that has expired, e.g., keeps every node from starting."""
-        bundle, now, (first, last) = self._bundle, self._now, (self._manifest.not_before, self._manifest.not_after)
-        again = "ask the authority for a new bundle"
-        if not first <= now <= last:
-            message = f"it is in force from {_shown(first)} to {_shown(last)}, and the clock of this machine is at "
-            raise self._refusal("bundle-dates", message + _shown(now), f"set the clock, or {again}")
-        chain = next(bundle.files[name] for name, each in bundle.authorities.items() if bundle.signer in each)
-        if problems := examine.verify_chain(bundle.files[CERTIFICATE], chain, now, self._where):
-            raise self._refusal("bundle-chain", f"its certificate is not valid: {problems[0].message}", again)
-        authorities = [each for of_file in bundle.authorities.values() for each in of_file]
-        for listed in bundle.lists:
-            by = [each for each in authorities if crl.is_by(listed, each)]
-            begin, end = crl.period(listed)
-            problem = "" if by and begin <= now <= end else "is not in force, or by another authority"
-            serial = bundle.certificate.serial_number
-            if by == [bundle.signer] and listed.get_revoked_certificate_by_serial_number(serial):
-                problem = "revokes its own certificate"
-            if problem:
-                help_ = f"{again}; 'keymint crl --refresh' issues the list again"
-                message = f"a revocation list of it {problem}: nodes would not start"
-                raise self._refusal("bundle-revoked", message, help_)
+def _require_in_force(bundle: Bundle, now: datetime, where: Origin) -> None:
+    """Require that nodes start with it now: a list that has expired, e.g., keeps every node from starting."""
+    first, last = bundle.manifest.not_before, bundle.manifest.not_after
+    again = "ask the authority for a new bundle"
+    if not first <= now <= last:
+        message = (
+            f"it is in force from {_shown(first)} to {_shown(last)}, and the clock of this machine is at {_shown(now)}"
+        )
+        raise KeymintError(message, where=where, help=f"set the clock, or {again}", code="bundle-dates")
+    chain = next(bundle.files[name] for name, each in bundle.authorities.items() if bundle.signer in each)
+    if problems := examine.verify_chain(bundle.files[CERTIFICATE], chain, now, where):
+        message = f"its certificate is not valid: {problems[0].message}"
+        raise KeymintError(message, where=where, help=again, code="bundle-chain")
+    authorities = [each for of_file in bundle.authorities.values() for each in of_file]
+    for listed in bundle.lists:
+        by = [each for each in authorities if crl.is_by(listed, each)]
+        begin, end = crl.period(listed)
+        problem = "" if by and begin <= now <= end else "is not in force, or by another authority"
+        serial = bundle.certificate.serial_number
+        if by == [bundle.signer] and listed.get_revoked_certificate_by_serial_number(serial):
+            problem = "revokes its own certificate"
+        if problem:
+            help_ = f"{again}; 'keymint crl --refresh' issues the list again"
+            message = f"a revocation list of it {problem}: nodes would not start"
+            raise KeymintError(message, where=where, help=help_, code="bundle-revoked")
 
-    def require_later(self, before: Manifest | None) -> None:
-        """Require that no number goes back. Without an earlier bundle, what is installed gives the numbers."""
-        bundle, manifest = self._bundle, self._manifest
-        if self._was_accepted:
-            return
-        back, ask = "", "ask the authority for a new one; 'keymint bundle' writes it"
-        if number_of(bundle.lists, bundle.signer) != manifest.revocations:
-            raise self._refusal("bundle-outdated", "its revocation list is another than its manifest says", ask)
-        if before is not None:
-            same = before.authority == manifest.authority
-            if manifest.issue <= before.issue:
-                back = f"its issue number is {manifest.issue}, and {before.issue} was accepted"
-            elif manifest.generation < before.generation:
-                back = f"its generation is {manifest.generation}, and {before.generation} was accepted"
-            elif same and manifest.revocations < before.revocations:
-                back = (
-                    f"its revocation list has the number {manifest.revocations}, and {before.revocations} was accepted"
-                )
-        elif self._present.files:
-            back = _older_than_installed(bundle, self._present)
-        if back:
-            raise self._refusal("bundle-outdated", f"it is older than what {manifest.enclave} has: {back}", ask)
+
+def _require_later(bundle: Bundle, present: Present, before: Manifest | None, where: Origin) -> None:
+    """Require that no number goes back. Without an earlier bundle, what is installed gives the numbers."""
+    manifest, back, ask = bundle.manifest, "", "ask the authority for a new one; 'keymint bundle' writes it"
+    if number_of(bundle.lists, bundle.signer) != manifest.revocations:
+        message = "its revocation list is another than its manifest says"
+        raise KeymintError(message, where=where, help=ask, code="bundle-outdated")
+    if before is not None:
+        same = before.authority == manifest.authority
+        if manifest.issue <= before.issue:
+            back = f"its issue number is {manifest.issue}, and {before.issue} was accepted"
+        elif manifest.generation < before.generation:
+            back = f"its generation is {manifest.generation}, and {before.generation} was accepted"
+        elif same and manifest.revocations < before.revocations:
+            back = f"its revocation list has the number {manifest.revocations}, and {before.revocations} was accepted"
+    elif present.files:
+        back = _older_than_installed(bundle, present)
+    if back:
+        message = f"it is older than what {manifest.enclave} has: {back}"
+        raise KeymintError(message, where=where, help=ask, code="bundle-outdated")
 
 
 def _is_elsewhere(present: Present, wanted: str) -> bool:
