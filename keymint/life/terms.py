@@ -16,7 +16,7 @@ from functools import lru_cache
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.values import dataclass
-from keymint.api import Authority, Package, Validity, ValidityTerm
+from keymint.api import Package, Validity, ValidityTerm
 from keymint.authority.authority_files import with_issuers
 from keymint.names import subject_of
 from keymint.view.stamps import Stamp
@@ -173,36 +173,26 @@ def of_sources(by_package: Mapping[str, Iterable[Term]], session: Session) -> tu
         by_package: lifetimes by package.
         session: its profile has the authorities.
     """
-    authorities = {authority.name: authority for authority in session.profile.authorities}
+    specs = {authority.name: authority.certificate for authority in session.profile.authorities}
+    issuers = {name: spec.issuer for name, spec in specs.items()}
+    terms = [(each, each.what, subject_of(name)) for name, lifetimes in by_package.items() for each in lifetimes]
+    for name in dict.fromkeys(name for each, _, _ in terms for name in with_issuers(each.issuer, issuers)):
+        own = _lifetime("authority", specs[name].validity, specs[name].issuer, specs[name].origin)
+        terms.append((own, f"certificate of the authority {name!r}", ""))
     warnings: list[Diagnostic] = []
-    issuers = {name: authority.certificate.issuer for name, authority in authorities.items()}
-    used: dict[str, None] = {}
-    for name, lifetimes in by_package.items():
-        for each in lifetimes:
-            used.update(dict.fromkeys(with_issuers(each.issuer, issuers)))
-            warnings += (replace(found, subject=subject_of(name)) for found in _of(each, authorities, session.now))
-    for name in used:
-        spec = authorities[name].certificate
-        own = _lifetime("authority", spec.validity, spec.issuer, spec.origin)
-        warnings += _of(own, authorities, session.now, f"certificate of the authority {name!r}")
+    for each, what, subject in terms:
+        term = ValidityTerm(each.what, f"the {what}", each.where, ((each.first, each.last),))
+        warnings += (replace(found, severity=Severity.WARNING) for found in findings([term], session.now, subject))
+        spec = specs.get(each.issuer)
+        if spec is not None and each.last > spec.validity.not_after:
+            message = (
+                f"the {what} lasts until {iso_time(each.last)}, longer than its authority {each.issuer!r}, which ends "
+                f"on {iso_time(spec.validity.not_after)} ({spec.validity.origin or spec.origin}): nothing is permitted "
+                "after that"
+            )
+            help_ = "let it end with its authority, or extend the authority"
+            warnings.append(Diagnostic.warning(f"{each.what}-outlives-authority", message, each.where, help_, subject))
     return tuple(dict.fromkeys(warnings))
-
-
-def _of(each: Term, authorities: Mapping[str, Authority], now: datetime, what: str = "") -> Iterator[Diagnostic]:
-    what = what or each.what
-    term = ValidityTerm(each.what, f"the {what}", each.where, ((each.first, each.last),))
-    yield from (replace(found, severity=Severity.WARNING) for found in findings([term], now))
-    authority = authorities.get(each.issuer)
-    if authority is not None and each.last > authority.certificate.validity.not_after:
-        end = authority.certificate.validity
-        place = end.origin or authority.certificate.origin
-        yield Diagnostic.warning(
-            f"{each.what}-outlives-authority",
-            f"the {what} lasts until {iso_time(each.last)}, longer than its authority {each.issuer!r}, which ends on "
-            f"{iso_time(end.not_after)} ({place}): nothing is permitted after that",
-            each.where,
-            "let it end with its authority, or extend the authority",
-        )
 
 
 # The lifetimes of most packages are those of the profile.

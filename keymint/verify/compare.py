@@ -242,8 +242,7 @@ def label_enclave(
     Raises:
         KeymintError: the transport does not work.
     """
-    waiting = iter(edges)
-    unanswered: deque[Edge] = deque()
+    waiting, unanswered = iter(edges), deque[Edge]()
     try:
         yield from _answers(transport, (enclave,), waiting, tier, unanswered)
     except KeymintError as error:

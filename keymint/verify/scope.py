@@ -203,9 +203,8 @@ def edges_of_graph(graph: Graph, scope: VerificationScope) -> tuple[tuple[str, .
 
 def common_objects(policy: LoadedPolicy, scope: VerificationScope) -> tuple[Object, ...]:
     """Return the objects of the policy that every subject of a scope is asked about."""
-    type_ = scope.plugin
     enclave = next(iter(scope.enclaves.values()), None)
-    installed_names = type_.installed_names(enclave) if enclave else ()
+    installed_names = scope.plugin.installed_names(enclave) if enclave else ()
     return probes.common_objects(_rules(policy, scope), installed_names)
 
 

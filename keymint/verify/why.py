@@ -12,25 +12,14 @@ from comarmor.patterns.expression import matches, rule_matches, rule_matches_par
 from comarmor.rules import Effect, parts
 from comarmor.text import nearest_word
 from comarmor.values import dataclass
-from keymint.api import (
-    AppliedProfile,
-    BuildType,
-    Endpoint,
-    InstalledEnclave,
-    LoadedPolicy,
-    Package,
-    PolicyDecision,
-    Role,
-    Tier,
-    Transport,
-)
+from keymint import api
 from keymint.api.graph import Edge, Object
 from keymint.errors import ExitCode, KeymintError
 from keymint.ir import Rule
 from keymint.names import name_of, typed_permission, typed_subject
 from keymint.verify.compare import label_enclave
 from keymint.verify.copies import enclave_copies
-from keymint.verify.endpoint_policy import RAW, EndpointPolicy, Naming
+from keymint.verify.endpoint_policy import RAW, EndpointPolicy
 from keymint.verify.mismatch import Mismatch
 from keymint.verify.scope import has_name, naming_of
 from keymint.verify.transports import Explainer
@@ -61,15 +50,15 @@ class Explanation:
     """
 
     edge: Edge
-    profiles: Sequence[AppliedProfile]
-    policy: PolicyDecision
-    decisions: Mapping[str, PolicyDecision]
+    profiles: Sequence[api.AppliedProfile]
+    policy: api.PolicyDecision
+    decisions: Mapping[str, api.PolicyDecision]
     rules: Sequence[MatchedRule]
     near: MatchedRule | None
     similar: str
     package: Sequence[MatchedRule]
     packaged: bool
-    needs: Sequence[tuple[Endpoint, str]]
+    needs: Sequence[tuple[api.Endpoint, str]]
     installed: bool
     labels: Mapping[str, Mismatch]
     unasked: Mapping[str, Sequence[str]]
@@ -104,7 +93,7 @@ def request(subject: str, permission: str, name: str, kind: str, partitions: Seq
     return Edge(typed_subject(subject), permission, Object(kind, name, tuple(sorted(set(partitions)))), domain)
 
 
-def source_package(session: Session, subject: str) -> Package | None:
+def source_package(session: Session, subject: str) -> api.Package | None:
     """Return the source package of a subject; None if it has none.
 
     Raises:
@@ -114,7 +103,7 @@ def source_package(session: Session, subject: str) -> Package | None:
     if name not in packages(session.tree, session.workspace.src):
         return None
     package = session.package(name)
-    if package.role is Role.INFRASTRUCTURE:
+    if package.role is api.Role.INFRASTRUCTURE:
         raise KeymintError(
             f"{subject} has no rights to explain: it belongs to the infrastructure of a transport",
             help="name a subject of the policy",
@@ -125,11 +114,11 @@ def source_package(session: Session, subject: str) -> Package | None:
 
 def explain(
     session: Session,
-    policy: LoadedPolicy,
-    package: Package | None,
+    policy: api.LoadedPolicy,
+    package: api.Package | None,
     edge: Edge,
-    transports: Mapping[str, Mapping[str, Transport]],
-    find_models: Callable[[str], Mapping[str, Transport]],
+    transports: Mapping[str, Mapping[str, api.Transport]],
+    find_models: Callable[[str], Mapping[str, api.Transport]],
 ) -> Explanation:
     """Ask every layer of a workspace for one request.
 
@@ -145,7 +134,7 @@ def explain(
         KeymintError: a transport does not work.
     """
     views = _views(session, policy, package, edge)
-    meanings = tuple(dict.fromkeys(each for view in views.values() for each in view.meanings(edge)))
+    meanings = tuple(dict.fromkeys(each for view in views.values() for each in view.meanings))
     decisions = {name: view.policy.decide(edge) for name, view in views.items()}
     profiles = policy.profiles(edge.subject)
     subject_rules = policy.rules(edge.subject)
@@ -164,7 +153,7 @@ def explain(
         similar=nearest_word(edge.subject, subjects) if package is None and edge.subject not in subjects else "",
         package=_rules_of_package(session, package, (edge, *meanings)) if package else (),
         packaged=package is not None,
-        needs=[need for view in views.values() for need in view.needs(edge)],
+        needs=[need for view in views.values() for need in view.needs],
         installed=is_installed,
         labels=_labels(session, package, edge, views, asked, find_models) if is_installed else {},
         unasked={name: tuple(group) for name, group in transports.items() if name not in views},
@@ -176,28 +165,17 @@ class _View:
     """A request as a build type sees it.
 
     Attributes:
-        build_type: the build type.
-        distro: ROS 2 distribution whose name mapping applies; empty if the subject has no source package.
         policy: the policy on endpoints.
-        naming: the naming of the subject, if the build type has one and the subject a source package.
+        meanings: the ROS edges that a request on an endpoint stands for.
+        needs: the endpoints that the transports must permit, each with the word for its name; none without a package.
     """
 
-    build_type: BuildType
-    distro: str
     policy: EndpointPolicy
-    naming: Naming | None
-
-    def meanings(self, edge: Edge) -> Sequence[Edge]:
-        """Return the ROS edges that a request on an endpoint stands for."""
-        return self.naming.meanings(edge) if self.naming and edge.object.kind == RAW else ()
-
-    def needs(self, edge: Edge) -> Sequence[tuple[Endpoint, str]]:
-        """Return what the transports must permit."""
-        actions = self.build_type.actions(self.distro, edge) if self.distro else ()
-        return [(each, self.build_type.NOUN) for each in actions]
+    meanings: Sequence[Edge]
+    needs: Sequence[tuple[api.Endpoint, str]]
 
 
-def _views(session: Session, policy: LoadedPolicy, package: Package | None, edge: Edge) -> Mapping[str, _View]:
+def _views(session: Session, policy: api.LoadedPolicy, package: api.Package | None, edge: Edge) -> Mapping[str, _View]:
     """Return the views of the build types that have a name for the object of a request."""
     views: dict[str, _View] = {}
     for name in package.build_types if package else session.profile.build_types:
@@ -207,21 +185,23 @@ def _views(session: Session, policy: LoadedPolicy, package: Package | None, edge
             continue
         naming = naming_of(session, package, name) if package else None
         endpoint_policy = EndpointPolicy(policy, {edge.subject: naming} if naming else {})
-        views[name] = _View(build_type, package.distro if package else "", endpoint_policy, naming)
+        meanings = naming.meanings(edge) if naming and edge.object.kind == RAW else ()
+        needed = build_type.actions(package.distro, edge) if package and package.distro else ()
+        views[name] = _View(endpoint_policy, meanings, [(each, build_type.NOUN) for each in needed])
     return views
 
 
 def _labels(
     session: Session,
-    package: Package | None,
+    package: api.Package | None,
     edge: Edge,
     views: Mapping[str, _View],
-    asked: Mapping[str, Mapping[str, Transport]],
-    find_models: Callable[[str], Mapping[str, Transport]],
+    asked: Mapping[str, Mapping[str, api.Transport]],
+    find_models: Callable[[str], Mapping[str, api.Transport]],
 ) -> Mapping[str, Mismatch]:
     """Return the decisions of transports on copies of the enclave."""
     install, name = session.workspace.install, name_of(edge.subject)
-    enclave = InstalledEnclave(edge.subject, session.enclave(name), session.profile.distro, install)
+    enclave = api.InstalledEnclave(edge.subject, session.enclave(name), session.profile.distro, install)
     there = enclave_names(session)
     infrastructure = {each.name for each in package.infrastructure} if package else ()
     labels: dict[str, Mismatch] = {}
@@ -237,12 +217,12 @@ def _labels(
         for build_type, group in asked.items():
             explainer = Explainer(views[build_type].policy, group, cache(partial(find_models, build_type)), copies)
             for each, transport in group.items():
-                verdicts = list(label_enclave(transport, copy, [edge], Tier.DECISION))
+                verdicts = list(label_enclave(transport, copy, [edge], api.Tier.DECISION))
                 (labels[each],) = explainer(each, copy, verdicts)
     return labels
 
 
-def _rules_of_package(session: Session, package: Package, edges: Sequence[Edge]) -> Sequence[MatchedRule]:
+def _rules_of_package(session: Session, package: api.Package, edges: Sequence[Edge]) -> Sequence[MatchedRule]:
     """Return the rules of a source package that apply to a request."""
     rules, folder = package.grant.rules.rules, session.workspace.shown(session.workspace.src / package.name)
     places = session.package_type.rule_places(package.name, folder, session.package_files(package.name))
