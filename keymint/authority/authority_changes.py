@@ -17,15 +17,8 @@ from comarmor.errors import Diagnostic, Origin
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint.api import Authority, AuthorityIssuance, Implementation, Validity
-from keymint.authority import authority_files, examine
-from keymint.authority.authorities import (
-    STAGE,
-    MintedAuthority,
-    authority_named,
-    only_in_token,
-    plan_authorities,
-    plan_authority_issuance,
-)
+from keymint.authority import authorities, authority_files, examine
+from keymint.authority.authorities import STAGE, authority_named, plan_authorities, plan_authority_issuance
 from keymint.authority.authority_files import with_issuers
 from keymint.errors import ExitCode, KeymintError
 from keymint.pki import certificates, distinguished_names, foreign_authorities, keys, periods
@@ -47,7 +40,17 @@ def plan_renewal(session: Session, name: str) -> Plan:
     authority = authority_named(session, name)
     require_no_rollover(session, name)
     minted = plan_authorities(session)[1][name]
-    _require_key(name, minted)
+    try:
+        key = minted.issuer.key
+    except KeymintError as error:
+        elsewhere = (
+            f"run this where the key is, then 'keymint authority export {name}' there and "
+            f"'keymint authority import {name} FILE' here"
+        )
+        raise KeymintError.of(
+            replace(each, help=elsewhere if each.code == "authority-key-missing" else each.help)
+            for each in error.diagnostics
+        ) from None
     pem = certificates.to_pem(minted.certificate)
     if not authority.issuance.adopted and authority_files.is_reordered(pem, authority.certificate):
         own = distinguished_names.to_text(minted.certificate.subject)
@@ -59,7 +62,7 @@ def plan_renewal(session: Session, name: str) -> Plan:
         where = session.workspace.origin(session.workspace.authority_certificate(name))
         is_of_today = minted.certificate.not_valid_after_utc >= _later_end(session, authority, minted.certificate)
         if not is_of_today or any(foreign_authorities.defects(minted.certificate, name, where)):
-            pem = issued_like(session, authority, minted.certificate, minted.issuer.key)
+            pem = issued_like(session, authority, minted.certificate, key)
         issuance = replace(issuance, adopted=pem)
     plan = plan_authority_issuance(session, name, issuance, f"{name} renewed on {session.now:%Y-%m-%d}")
     after = authority_named(session.after(plan).session(), name).certificate
@@ -96,25 +99,6 @@ def issuer_of(session: Session, authority: Authority) -> certificates.Issuer | N
     """Return the authority above another one, as an issuer; None if the other one has a self-signed certificate."""
     above = authority.certificate.issuer
     return plan_authorities(session)[1][above].issuer if above else None
-
-
-def _require_key(name: str, minted: MintedAuthority) -> None:
-    """Require that an authority can sign here.
-
-    Raises:
-        KeymintError: its private key is elsewhere, or its password is not set.
-    """
-    try:
-        _ = minted.issuer
-    except KeymintError as error:
-        elsewhere = (
-            f"run this where the key is, then 'keymint authority export {name}' there and "
-            f"'keymint authority import {name} FILE' here"
-        )
-        raise KeymintError.of(
-            replace(each, help=elsewhere if each.code == "authority-key-missing" else each.help)
-            for each in error.diagnostics
-        ) from None
 
 
 def require_no_rollover(session: Session, name: str) -> None:
@@ -204,7 +188,7 @@ def cert_and_key(session: Session, authority: Authority, given: GivenAuthority) 
         return certificate, b""
     spec = authority.certificate
     if spec.key.uri:
-        raise only_in_token(authority, "import it with the token's own tool")
+        raise authorities.only_in_token(authority, "import it with the token's own tool")
     secret = password(session, spec)
     private = keys.from_pem(given.key, secret, given.key_file)
     of, help_ = str(given.where), "name the files that belong together"

@@ -30,13 +30,8 @@ from keymint.pki import certificate_forms, certificates, revocation_lists
 from keymint.stages.proof.proof_results import ProofEffort, ProofResults
 from keymint.stages.proof.prove import proofs
 from keymint.store import journal
-from keymint.workspace.installed_enclaves import (
-    CERTIFICATE,
-    INSTALLED,
-    enclave_files,
-    installed_certificate,
-    with_sources,
-)
+from keymint.workspace import installed_enclaves
+from keymint.workspace.installed_enclaves import CERTIFICATE, INSTALLED, installed_certificate, with_sources
 from keymint.workspace.package_build_types import build_types_of, is_build_current, revocation_files
 from keymint.workspace.session import Inputs, Session, once
 
@@ -128,7 +123,8 @@ def of_enclaves(session: Session) -> Iterator[Diagnostic]:
     """
     in_force = enclave_lists(session)
     for name in with_sources(session):
-        package, files = session.package(name, built=is_build_current(session, name)), enclave_files(session, name)[0]
+        package = session.package(name, built=is_build_current(session, name))
+        files = installed_enclaves.enclave_files(session, name)[0]
         build_types, layout = build_types_of(session, package).values(), session.profile.layout
         expected = in_force.get(package.identity.issuer, b"")
         folder = session.workspace.shown(session.enclave_folder(name))

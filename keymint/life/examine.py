@@ -24,13 +24,8 @@ from keymint.life.workspace_register import register_of
 from keymint.names import subject_of
 from keymint.pki import certificates, keys, smime
 from keymint.pki.distinguished_names import to_text
-from keymint.workspace.installed_enclaves import (
-    CERTIFICATE,
-    INSTALLED,
-    enclave_names,
-    installed_certificate,
-    unknown_enclaves,
-)
+from keymint.workspace import installed_enclaves
+from keymint.workspace.installed_enclaves import CERTIFICATE, INSTALLED, enclave_names, installed_certificate
 from keymint.workspace.package_build_types import build_types_of
 from keymint.workspace.session import Inputs, Session
 from keymint.workspace.stored_keys import IDENTITY_KEYS, key_place, key_remedy, known_fingerprint, recorded_key
@@ -274,17 +269,12 @@ def orphan_findings(session: Session, *, pruned: bool = False) -> Iterator[Diagn
         session: the workspace and its profile.
         pruned: those that no marker hides are removed.
     """
-    for name, marker in unknown_enclaves(session):
-        if marker is None and pruned:
-            continue
-        if marker is None:
-            code, where = "enclave-orphaned", None
-            message = f"the enclave {subject_of(name)} is installed, but has no source package"
-            help_ = "'keymint install --prune' removes it"
-        else:
-            code, where = "enclave-ignored", session.workspace.origin(marker)
-            message = (
-                f"hides the source package of the installed enclave {subject_of(name)}, which is not checked or updated"
-            )
-            help_ = "remove this file, or the enclave"
-        yield Diagnostic.warning(code, message, where, help_, subject_of(name))
+    for name, marker in installed_enclaves.unknown_enclaves(session):
+        subject = subject_of(name)
+        if marker is not None:
+            message = f"hides the source package of the installed enclave {subject}, which is not checked or updated"
+            where, help_ = session.workspace.origin(marker), "remove this file, or the enclave"
+            yield Diagnostic.warning("enclave-ignored", message, where, help_, subject)
+        elif not pruned:
+            message = f"the enclave {subject} is installed, but has no source package"
+            yield Diagnostic.warning("enclave-orphaned", message, None, "'keymint install --prune' removes it", subject)
