@@ -6,7 +6,6 @@ Also their structure as it is written, for analyses of subjects that they do not
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
@@ -78,7 +77,7 @@ class ComArmorPolicy(LoadedPolicy):
         return self.policy.row(subject, kind, permission).allowed(names)
 
 
-@functools.lru_cache(maxsize=1024)
+@lru_cache(maxsize=1024)
 def _decision(ruling: Ruling) -> PolicyDecision:
     """Return the decision of a ruling, which most requests share with others."""
     where = ruling.rules[0].origin if ruling.rules else None

@@ -61,25 +61,22 @@ def _refused(package: Package) -> Iterator[_Defect]:
             message = f"the certificate's extendedKeyUsage lacks {needed}, and Zenoh refuses it"
             yield "zenoh-key-usage", message, extension.origin, f"add {needed}, or leave out the extension"
     if is_router(package):
-        yield from _host(package)
+        # The name that sessions look for must be among those that the sources give.
+        host = settings_of(package).router.host
+        needed = f"{'IP' if is_address(host) else 'DNS'}:{host}"
+        for extension, names in _listed(package, "subjectAltName"):
+            if not any(_same_name(name, needed) for name in names):
+                message = (
+                    f"the certificate's subjectAltName lacks the router's host {host!r}, so that no session connects "
+                    "to it"
+                )
+                yield "zenoh-host-name", message, extension.origin, f"add {needed}, or leave out the extension"
 
 
 def _curve(certificate: CertificateSpec, what: str) -> Iterator[_Defect]:
     if certificate.key.algorithm == "ec" and certificate.key.curve not in _CURVES:
         message = f"{what} is on the curve {certificate.key.curve}, which Zenoh refuses"
         yield "zenoh-key-curve", message, certificate.origin, "use prime256v1 or secp384r1, or RSA"
-
-
-def _host(package: Package) -> Iterator[_Defect]:
-    """Yield a name of the router's certificate that the sources give, and sessions do not look for."""
-    host = settings_of(package).router.host
-    needed = f"{'IP' if is_address(host) else 'DNS'}:{host}"
-    for extension, names in _listed(package, "subjectAltName"):
-        if not any(_same_name(name, needed) for name in names):
-            message = (
-                f"the certificate's subjectAltName lacks the router's host {host!r}, so that no session connects to it"
-            )
-            yield "zenoh-host-name", message, extension.origin, f"add {needed}, or leave out the extension"
 
 
 def _listed(package: Package, name: str) -> Iterator[tuple[Extension, list[str]]]:

@@ -192,9 +192,12 @@ class _Observer:
 
     def _take_participants(self, reader: int) -> None:
         for sample in _taken(reader, _Participant):
-            guid = str(sample.key)
-            name, user_data = _entity_name(sample.qos), _user_data(sample.qos)
-            self._participants[guid] = DiscoveredParticipant(guid, self._domain, name, user_data)
+            guid, name, data, size = str(sample.key), c_void_p(), c_void_p(), c_size_t()
+            if sample.qos:
+                library().dds_qget_entity_name(sample.qos, byref(name))
+                library().dds_qget_userdata(sample.qos, byref(data), byref(size))
+            user_data = _freed(data.value, size.value)
+            self._participants[guid] = DiscoveredParticipant(guid, self._domain, _text(_freed(name.value)), user_data)
 
     def _take_endpoints(self, permission: str, reader: int) -> None:
         for sample in _taken(reader, _Endpoint):
@@ -248,31 +251,19 @@ def _text(raw: bytes | None) -> str:
     return (raw or b"").decode("utf-8", errors="replace")
 
 
-def _entity_name(qos: int | None) -> str:
-    name = c_void_p()
-    if not qos or not library().dds_qget_entity_name(qos, byref(name)) or not name.value:
-        return ""
-    return _text(_freed(name.value))
-
-
-def _user_data(qos: int | None) -> bytes:
-    data, size = c_void_p(), c_size_t()
-    if not qos or not library().dds_qget_userdata(qos, byref(data), byref(size)) or not data.value:
-        return b""
-    return _freed(data.value, size.value)
-
-
 def _partitions(qos: int | None) -> tuple[str, ...]:
     count, names = c_uint32(), POINTER(c_void_p)()
     if not qos or not library().dds_qget_partition(qos, byref(count), byref(names)) or not count.value:
         return ()
     addresses = [names[index] for index in range(count.value)]
     library().dds_free(names)
-    return tuple(_text(_freed(address)) if address else "" for address in addresses)
+    return tuple(_text(_freed(address)) for address in addresses)
 
 
-def _freed(address: int, size: int = -1) -> bytes:
-    """Return the bytes at an address, up to a zero if there is no size, and free them."""
+def _freed(address: int | None, size: int = -1) -> bytes:
+    """Return the bytes at an address, up to a zero if there is no size, and free them; nothing without an address."""
+    if not address:
+        return b""
     try:
         return ctypes.string_at(address, size)
     finally:

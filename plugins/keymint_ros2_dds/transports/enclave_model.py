@@ -91,10 +91,8 @@ class Authentication:
         )
 
 
-@lru_cache(maxsize=4096)
-def _is_issued_by(certificate: x509.Certificate, authority: x509.Certificate) -> bool:
-    """Return whether an authority issued a certificate; models of all vendors ask it about each."""
-    return certificates.is_issued_by(certificate, authority)
+_is_issued_by = lru_cache(maxsize=4096)(certificates.is_issued_by)
+"""Whether an authority issued a certificate; models of all vendors ask it about each."""
 
 
 def _outside(what: str, begin: datetime, end: datetime, now: datetime) -> str:

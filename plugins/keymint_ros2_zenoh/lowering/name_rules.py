@@ -92,7 +92,12 @@ def name_rules(rules: SubjectRules, distro: str) -> NameRules:
                     code, severity, message, help_ = each
                     diagnostics.append(Diagnostic(code, severity, message, rule.origin, help_, rules.subject))
         elif not any(each.code == _DROPPED for each in diagnostics):
-            diagnostics.append(_dropped(rule, rules.subject))
+            message = (
+                f"the rule on {DDS_INFRASTRUCTURE}, which only DDS has, is left out: on Zenoh every enclave may "
+                "announce its own nodes and read the graph"
+            )
+            # Without the files that include the rule: they differ by subject, and all subjects have one note together.
+            diagnostics.append(Diagnostic.note(_DROPPED, message, rule.origin.alone(), "", rules.subject))
     if errors := [each for each in diagnostics if each.severity is Severity.ERROR]:
         raise KeymintError.of(errors)
     return NameRules(rules.subject, tuple(found), tuple(diagnostics))
@@ -176,19 +181,6 @@ def _defects(rule: Rule) -> Iterator[_Problem]:
                 yield "permission-unknown", Severity.ERROR, message, did_you_mean(part, SLOTS)
 
 
-def _dropped(rule: Rule, subject: str) -> Diagnostic:
-    # Without the files that include the rule: they differ from subject to subject, and all have one note together.
-    where = rule.origin.alone()
-    return Diagnostic.note(
-        _DROPPED,
-        f"the rule on {DDS_INFRASTRUCTURE}, which only DDS has, is left out: on Zenoh every enclave may announce its "
-        "own nodes and read the graph",
-        where,
-        "",
-        subject,
-    )
-
-
 SENDING = ("ros_publish", "ros_call")
 """The permissions to send: what a subject may receive, its peers decide by what they may send."""
 _ASKING = "ros_subscribe"
@@ -210,7 +202,14 @@ def deny_wildcards(names: NameRules) -> Iterator[Diagnostic]:
             found = _met(denial, wild)
             if found:
                 reported.add(denial.rule.origin)
-                yield _warning(denial, *found, names.subject)
+                key, allowing = found
+                message = (
+                    f"this DENY {denial.rule.kind} rule holds for names only: the ALLOW rule at "
+                    f"{allowing.rule.origin} also permits key expressions such as '<domain>/{key}/…', which cover a "
+                    "denied name; a hostile process can send them, and they arrive where a receiver may receive them"
+                )
+                help_ = "allow the names that the subject needs instead of a wildcard"
+                yield Diagnostic.warning("zenoh-deny-wildcard", message, denial.rule.origin, help_, names.subject)
 
 
 def _met(denial: NameRule, wild: list[tuple[KeyExpr, NameRule]]) -> tuple[KeyExpr, NameRule] | None:
@@ -220,18 +219,3 @@ def _met(denial: NameRule, wild: list[tuple[KeyExpr, NameRule]]) -> tuple[KeyExp
             if intersects(key, denied) and not includes(denied, key):
                 return key, allowing
     return None
-
-
-def _warning(denial: NameRule, key: KeyExpr, allowing: NameRule, subject: str) -> Diagnostic:
-    message = (
-        f"this DENY {denial.rule.kind} rule holds for names only: the ALLOW rule at {allowing.rule.origin} also "
-        f"permits key expressions such as '<domain>/{key}/…', which cover a denied name; a hostile process can send "
-        "them, and they arrive where a receiver may receive them"
-    )
-    return Diagnostic.warning(
-        "zenoh-deny-wildcard",
-        message,
-        denial.rule.origin,
-        "allow the names that the subject needs instead of a wildcard",
-        subject,
-    )

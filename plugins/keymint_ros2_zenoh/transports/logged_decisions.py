@@ -101,32 +101,23 @@ def _paths(files: enclave_model.InstalledConfiguration) -> dict[str, object]:
     return loopback.path_changes(files.configuration.settings(), files.local)
 
 
-BATCH = 200
-"""Edges whose keys are declared at a time."""
 _FENCE = "keymint/fence"
-_Needed = Sequence[Sequence[Operation]]
+Needed = Sequence[Sequence[Operation]]
+"""The operations of each of several edges."""
 
 
-def logged_decisions(
-    network: Network, models: enclave_model.InstalledModels, edges: Iterable[Edge]
-) -> Iterator[tuple[Edge, Verdict]]:
-    """Yield whether the router and the session allow each edge; one session at a time.
+def logged_decisions(session: LoggedSession, needed: Needed) -> Iterable[Verdict]:
+    """Return whether the router and the session allow each edge.
 
     Args:
-        network: the router.
-        models: the enclaves.
-        edges: grouped by subject.
+        session: a session of the subject of the edges.
+        needed: what the edges need.
 
     Raises:
-        KeymintError: an enclave is missing.
         ProcessFailedError: a process fails.
     """
-
-    def verdicts(session: LoggedSession, _subject: str, needed: _Needed) -> Iterable[Verdict]:
-        session.declare(operation for each in needed for operation in each)
-        return map(session.verdict, needed)
-
-    return in_sessions(network, models, edges, BATCH, verdicts)
+    session.declare(operation for each in needed for operation in each)
+    return map(session.verdict, needed)
 
 
 def in_sessions(
@@ -134,28 +125,32 @@ def in_sessions(
     models: enclave_model.InstalledModels,
     edges: Iterable[Edge],
     size: int,
-    verdicts: Callable[[LoggedSession, str, _Needed], Iterable[Verdict]],
+    verdicts: Callable[[LoggedSession, Needed], Iterable[Verdict]],
 ) -> Iterator[tuple[Edge, Verdict]]:
     """Yield verdicts on edges; an enclave whose session has no link to the router has one for all of them.
 
     Args:
         network: the router.
         models: the enclaves.
-        edges: grouped by subject.
+        edges: grouped by subject; one session at a time decides them.
         size: how many edges are decided at a time.
-        verdicts: takes a session, its subject, and the operations of each edge.
+        verdicts: takes a session, and the operations of each edge.
+
+    Raises:
+        KeymintError: an enclave is missing.
+        ProcessFailedError: a process fails.
     """
     for subject, group in groupby(edges, key=lambda edge: edge.subject):
         model = models.of(subject)
         try:
-            session = LoggedSession(network, model)
+            session = LoggedSession(network, models, model)
         except ZenohError as error:
             reason = model.refusal or f"the session has no link to the router: {error}"
             verdict = Verdict(allowed=False, reason=reason, where=Origin(str(model.files.file)))
             yield from ((edge, verdict) for edge in group)
             continue
         while batch := list(islice(group, size)):
-            yield from zip(batch, verdicts(session, subject, list(map(operations, batch))), strict=True)
+            yield from zip(batch, verdicts(session, list(map(operations, batch))), strict=True)
         session.close()
 
 
@@ -164,15 +159,17 @@ class LoggedSession:
 
     Args:
         network: the router.
+        models: the enclaves.
         model: the enclave of the session.
 
     Raises:
         ZenohError: it gets no link to the router.
     """
 
-    def __init__(self, network: Network, model: enclave_model.ZenohEnclaveModel) -> None:
-        self._network = network
-        self._model = model
+    def __init__(
+        self, network: Network, models: enclave_model.InstalledModels, model: enclave_model.ZenohEnclaveModel
+    ) -> None:
+        self.network, self.models, self.model = network, models, model
         self._fences = count()
         self._declared: set[str] = set()
         self._session = network.open(model)
@@ -189,7 +186,7 @@ class LoggedSession:
             return
         self._declared.update(new)
         fence = f"{_FENCE}/{next(self._fences)}"
-        self._network.sessions.ask("publishers", session=self._session, keys=[*new, fence])
+        self.network.sessions.ask("publishers", session=self._session, keys=[*new, fence])
         for decisions in (self._at_router, self._at_session):
             decisions.read(fence)
 
@@ -199,17 +196,17 @@ class LoggedSession:
 
     def close(self) -> None:
         """Close the session."""
-        self._network.close(self._session)
+        self.network.close(self._session)
 
     def _decide(self, request: OperationRequest) -> Verdict:
         own = self._at_session.allows(request.message, request.flow.opposite, request.key)
         if not own:
-            return self._verdict(own, "the session", request, self._model.at_session(request))
+            return self._verdict(own, "the session", request, self.model.at_session(request))
         return self._decide_at_router(request)
 
     def _decide_at_router(self, request: OperationRequest) -> Verdict:
         router = self._at_router.allows(request.message, request.flow, request.key)
-        return self._verdict(router, "the router", request, self._model.at_router(request))
+        return self._verdict(router, "the router", request, self.model.at_router(request))
 
     def _verdict(self, allowed: bool, who: str, request: OperationRequest, modelled: Verdict) -> Verdict:
         """Return a verdict with the place of the rule by which the model decides the same."""

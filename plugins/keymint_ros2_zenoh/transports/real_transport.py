@@ -27,15 +27,15 @@ from keymint_ros2_zenoh.lowering.permissions import CALL, OTHER_END, PUBLISH, SU
 from keymint_ros2_zenoh.transports.enclave_model import NAMELESS, InstalledModels, ZenohEnclaveModel
 from keymint_ros2_zenoh.transports.logged_decisions import (
     LoggedSession,
-    Network,
+    Needed,
     in_sessions,
     logged_decisions,
     running_network,
 )
-from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohProcess, installed_version
+from keymint_ros2_zenoh.vendors.zenoh_processes import installed_version
 
-BATCH = 500
-"""Edges that are tried at a time."""
+DECIDED, TRIED = 200, 500
+"""Edges whose keys are declared at a time, and edges that are tried at a time."""
 ROUNDS = 20
 """How often an allowed sample is sent until it arrives."""
 ROUND_SECONDS = 0.5
@@ -57,39 +57,35 @@ class _SampleTrial:
     delivered: bool = False
 
 
-def exchange(network: Network, models: InstalledModels, edges: Iterable[Edge]) -> Iterator[tuple[Edge, Verdict]]:
-    """Yield whether data is delivered for each edge.
+def exchange(session: LoggedSession, needed: Needed) -> Iterable[Verdict]:
+    """Return whether data is delivered for each edge.
 
     Args:
-        network: the router.
-        models: the enclaves; each may do the other end.
-        edges: grouped by subject.
+        session: a session of the subject of the edges; each of its enclaves may do the other end.
+        needed: what the edges need.
 
     Raises:
         KeymintError: an enclave is missing.
         ProcessFailedError: a process fails.
     """
-
-    def verdicts(session: LoggedSession, subject: str, needed: Sequence[Sequence[Operation]]) -> Iterator[Verdict]:
-        found = dict.fromkeys(chain.from_iterable(needed))
-        session.declare(found)
-        trials = {each: _SampleTrial(each, session.verdict([each]), _peer(models, subject, each)) for each in found}
-        _try(network, models, models.of(subject), list(trials.values()))
-        return (_verdict([trials[each] for each in own]) for own in needed)
-
-    return in_sessions(network, models, edges, BATCH, verdicts)
+    found = dict.fromkeys(chain.from_iterable(needed))
+    session.declare(found)
+    trials = {each: _SampleTrial(each, session.verdict([each]), _peer(session, each)) for each in found}
+    _try(session, list(trials.values()))
+    return (_verdict([trials[each] for each in own]) for own in needed)
 
 
-def _peer(models: InstalledModels, subject: str, operation: Operation) -> str:
+def _peer(session: LoggedSession, operation: Operation) -> str:
     """Return the first other subject, by name, that may do the other end by the model; empty if there is none."""
-    other = Operation(OTHER_END[operation.permission], operation.key)
+    models, other = session.models, Operation(OTHER_END[operation.permission], operation.key)
     for each in sorted(models.enclaves):
-        if each != subject and all(models.of(each).decide(request).allowed for request in other.requests):
+        model = models.of(each)
+        if model is not session.model and all(model.decide(request).allowed for request in other.requests):
             return each
     return ""
 
 
-def _try(network: Network, models: InstalledModels, model: ZenohEnclaveModel, trials: Sequence[_SampleTrial]) -> None:
+def _try(session: LoggedSession, trials: Sequence[_SampleTrial]) -> None:
     """Try operations of the same permission with the same enclave together."""
     by_run: dict[tuple[str, str], list[_SampleTrial]] = {}
     for trial in trials:
@@ -97,14 +93,14 @@ def _try(network: Network, models: InstalledModels, model: ZenohEnclaveModel, tr
             by_run.setdefault((trial.peer, trial.operation.permission), []).append(trial)
     silent: list[_Run] = []
     for (peer, _), group in by_run.items():
-        other = models.of(peer)
+        other = session.models.of(peer)
         permitted = [trial for trial in group if trial.logged.allowed]
         denied = [trial for trial in group if not trial.logged.allowed]
         if permitted:
-            _Run(network, model, other, permitted, conforming=True).deliver()
+            _Run(session, other, permitted, conforming=True).deliver()
         if denied:
             shown = [trial for trial in permitted if trial.delivered][:1]
-            run = _Run(network, model, other, [*denied, *shown], conforming=False)
+            run = _Run(session, other, [*denied, *shown], conforming=False)
             if shown:
                 run.deliver()
             else:
@@ -127,28 +123,21 @@ class _Run:
     """Two sessions that try operations of one permission, those that are denied first.
 
     Args:
-        network: the router.
-        model: the subject under test.
+        session: a session of the subject under test, which has others for this.
         other: the enclave that does the other end, by its own rules.
         trials: the operations.
         conforming: the subject uses its own access control, and its session behaves as a ROS node does.
     """
 
     def __init__(
-        self,
-        network: Network,
-        model: ZenohEnclaveModel,
-        other: ZenohEnclaveModel,
-        trials: Sequence[_SampleTrial],
-        *,
-        conforming: bool,
+        self, session: LoggedSession, other: ZenohEnclaveModel, trials: Sequence[_SampleTrial], *, conforming: bool
     ) -> None:
-        self._network = network
-        self._process: ZenohProcess = network.sessions
+        self._network = session.network
+        self._process = session.network.sessions
         self._trials = trials
         self._conforming = conforming
-        self._own = network.open(model, conforming=conforming)
-        self._other = network.open(other)
+        self._own = session.network.open(session.model, conforming=conforming)
+        self._other = session.network.open(other)
         permission = trials[0].operation.permission
         active = permission in {PUBLISH, CALL}
         self._sender, self._receiver = (self._own, self._other) if active else (self._other, self._own)
@@ -248,9 +237,11 @@ class RealZenoh(VendorTransport):
         self.usable().require(tier, "zenoh")
         models = InstalledModels(enclaves, self._environment)
 
+        how = (TRIED, exchange) if tier is Tier.EXCHANGE else (DECIDED, logged_decisions)
+
         def labelled() -> Iterator[tuple[Edge, Verdict]]:
             for install, group in groupby(edges, key=lambda edge: models.enclaves[edge.subject].install):
                 with running_network(models.router(install), self._environment.variables) as network:
-                    yield from (exchange if tier is Tier.EXCHANGE else logged_decisions)(network, models, group)
+                    yield from in_sessions(network, models, group, *how)
 
         return labelled()
