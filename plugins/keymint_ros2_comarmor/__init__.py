@@ -45,7 +45,7 @@ class ComArmorPolicyType(PolicyType):
     written_files = lazy("comarmor.language.formatting:written_files")
     formatted = lazy("comarmor.language.formatting:canonical_form")
     policy_of = lazy("keymint_ros2_comarmor.policy_documents:policy_of")
-    learn = lazy("keymint_ros2_comarmor.learn:learn")
+    learn = lazy("keymint_ros2_comarmor.policy_documents:learn")
 
 
 policy_type = ComArmorPolicyType()

@@ -51,7 +51,7 @@ class Zenoh(BuildType):
     check_shared = lazy("keymint_ros2_zenoh.examine.enclaves:check_shared")
     actions = lazy("keymint_ros2_zenoh.lowering.permissions:actions")
     installed_names = lazy("keymint_ros2_zenoh.transports.enclave_model:installed_names")
-    check_rules = lazy("keymint_ros2_zenoh.lowering.name_rules:check_rules")
+    check_rules = lazy("keymint_ros2_zenoh.lowering.key_rules:check_rules")
     prove_shared = lazy("keymint_ros2_zenoh.proving.shared_proof:prove_shared")
 
 

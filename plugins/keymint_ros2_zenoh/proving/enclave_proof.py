@@ -31,8 +31,7 @@ from keymint_ros2_zenoh.examine.enclaves import differences
 from keymint_ros2_zenoh.identities import common_name, router_of
 from keymint_ros2_zenoh.keyexpr import KeyExpr, includes, intersects, key_exprs
 from keymint_ros2_zenoh.lowering import permissions
-from keymint_ros2_zenoh.lowering.key_rules import domain_ids, slot_rules
-from keymint_ros2_zenoh.lowering.name_rules import NameRules, name_rules
+from keymint_ros2_zenoh.lowering.key_rules import NameRules, domain_ids, name_rules, slot_rules
 from keymint_ros2_zenoh.lowering.permissions import action
 from keymint_ros2_zenoh.proving import policy_evaluator
 from keymint_ros2_zenoh.proving.key_search import Automaton, Side, difference, side_of

@@ -5,8 +5,7 @@ from __future__ import annotations
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from keymint_ros2_comarmor.learn import share
-from keymint_ros2_comarmor.policy_documents import templates
+from keymint_ros2_comarmor.policy_documents import share, templates
 
 SUBJECTS = ["/a", "/b", "/ns/a", "/ns/b"]
 NAMES = [f"{root}/{'long_name_' * 4}{number}" for root in ("", "/a", "/ns", "/ns/a") for number in range(3)]

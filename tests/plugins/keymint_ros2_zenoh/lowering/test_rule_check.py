@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from keymint_ros2_zenoh.lowering.name_rules import check_rules
+from keymint_ros2_zenoh.lowering.key_rules import check_rules
 
 from comarmor.errors import Severity
 from comarmor.rules import Rule
