@@ -124,26 +124,19 @@ def _read(root: Path, path: str) -> KeystoreFile:
     status = (root / path).lstat()
     link, real = "", root / path
     if stat.S_ISLNK(status.st_mode):
-        link = str(real.readlink())
+        link, problem, help_ = str(real.readlink()), "", ""
         try:
             real = real.resolve(strict=True)
         except (OSError, RuntimeError):
-            raise KeymintError(
-                f"is a link to {link!r}, which is not there", help="restore that file, or remove the link",
-                code="keystore-link",
-            ) from None  # fmt: skip
-        if link.startswith("/") or not real.is_relative_to(root):  # perhaps by way of other links
-            raise KeymintError(
-                f"is a link to {link!r}, which is not followed: it leads out of the keystore, or does so elsewhere",
-                help="replace it by the file itself, or by a relative link within the keystore",
-                code="keystore-link",
-            )
+            problem, help_ = f"{link!r}, which is not there", "restore that file, or remove the link"
         status = real.lstat()
-        if stat.S_ISDIR(status.st_mode):
-            raise KeymintError(
-                f"is a link to the folder {link!r}, which is not followed",
-                help="replace it by the folder", code="keystore-link",
-            )  # fmt: skip
+        if not problem and (link.startswith("/") or not real.is_relative_to(root)):  # perhaps by way of other links
+            problem = f"{link!r}, which is not followed: it leads out of the keystore, or does so elsewhere"
+            help_ = "replace it by the file itself, or by a relative link within the keystore"
+        elif not problem and stat.S_ISDIR(status.st_mode):
+            problem, help_ = f"the folder {link!r}, which is not followed", "replace it by the folder"
+        if problem:
+            raise KeymintError(f"is a link to {problem}", help=help_, code="keystore-link")
     if not stat.S_ISREG(status.st_mode):
         raise KeymintError("is not a regular file", help="remove it", code="file-kind")
     content = read_bounded(root, real, MAX_FILE + 1)

@@ -45,7 +45,10 @@ def load_hints(content: bytes, name: str) -> tuple[Hint, ...]:
     counts: Counter[Edge] = Counter()
     defects = Defects()
     try:
-        columns = _columns(next(rows, []), name)
+        columns = [each.strip() for each in next(rows, [])]
+        if len(set(columns)) != len(columns) or not set(COLUMNS) <= set(columns) <= {*COLUMNS, *OPTIONAL}:
+            message = f"the first line is {','.join(columns)!r}, not the names of the columns"
+            raise _error(name, 1, message, f"write {','.join(COLUMNS)!r}, or use a graph by 'keymint discover'")
         for row in filter(None, rows):
             with defects:
                 edge, times = _counted(columns, row, name, rows.line_num)
@@ -71,14 +74,6 @@ def unknown_subjects(hints: Sequence[Hint], known: Sequence[str], name: str) -> 
             Origin(name),
             did_you_mean(subject, known),
         )
-
-
-def _columns(header: Sequence[str], name: str) -> list[str]:
-    columns = [each.strip() for each in header]
-    if len(set(columns)) != len(columns) or not set(COLUMNS) <= set(columns) <= {*COLUMNS, *OPTIONAL}:
-        message = f"the first line is {','.join(columns)!r}, not the names of the columns"
-        raise _error(name, 1, message, f"write {','.join(COLUMNS)!r}, or use a graph by 'keymint discover'")
-    return columns
 
 
 def _counted(columns: Sequence[str], fields: Sequence[str], name: str, line: int) -> tuple[Edge, int]:

@@ -24,7 +24,7 @@ from comarmor.values import dataclass
 from keymint import SPACES
 from keymint.api import GraphSource
 from keymint.api.plugin_loader import Plugins
-from keymint.errors import ExitCode, KeymintError, usage_error
+from keymint.errors import KeymintError, usage_error
 from keymint.executors import PROCESSES
 from keymint.output.report import Report, findings_exit, findings_if
 from keymint.run.run import Run, Setting
@@ -65,12 +65,15 @@ def verb(*, of: str = "", name: str = "", **common: bool) -> Callable[[Verb], cl
             options |= {key: group.taken(options) for key, group in groups.items()}
             setting: Setting = context.find_root().obj()
             run = Run(setting, said, common)
-
-            def work() -> Report:
+            try:
                 require_known_plugins(context, run.plugins)
-                return function(run, **options)
-
-            context.exit(int(_guarded(run, work)))
+                report = function(run, **options)
+            except UnacceptedPackagesError as error:
+                report = _unaccepted_report(run, error)
+            except KeymintError as error:
+                report = run.report({}, error.diagnostics, error.exit_code, workspace=run.known_workspace)
+            run.console.show(run.presented(run.told(report)))
+            context.exit(int(report.exit_code))
 
         functools.update_wrapper(command, function)
         made = click.command(own_name)(click.pass_context(command))
@@ -78,18 +81,6 @@ def verb(*, of: str = "", name: str = "", **common: bool) -> Callable[[Verb], cl
         return made
 
     return decorate
-
-
-def _guarded(run: Run, function: Callable[[], Report]) -> ExitCode:
-    """Run a verb, show its report or its error, and return the exit code."""
-    try:
-        report = function()
-    except UnacceptedPackagesError as error:
-        report = _unaccepted_report(run, error)
-    except KeymintError as error:
-        report = run.report({}, error.diagnostics, error.exit_code, workspace=run.known_workspace)
-    run.console.show(run.presented(run.told(report)))
-    return report.exit_code
 
 
 def _unaccepted_report(run: Run, error: UnacceptedPackagesError) -> Report:

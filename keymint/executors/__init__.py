@@ -5,9 +5,9 @@ What runs there is a function of a module, ``(plugins, task) -> result``, where 
 secrets. Keys, signatures and files stay in the process that the user started.
 """
 
-from keymint.executors.pool import Pool, Processes
+from keymint.executors.pool import Pool
 
-__all__ = ["PROCESSES", "Pool", "Processes"]
+__all__ = ["PROCESSES", "Pool"]
 
 PROCESSES = "processes"
 """The executor that is not a cluster: processes of this machine."""

@@ -193,8 +193,8 @@ class Cluster(Pool):
     def __init__(
         self, plugins: Plugins, now: datetime, submit: Callable[[bytes], Future[bytes]], size: int, *, trusted: bool
     ) -> None:
+        super().__init__(plugins, size)
         self._installed, self._now, self._submit = versions(plugins), now, submit
-        self.size = size
         self.trusted = trusted
 
     def map(self, work: Work[Task, Result], tasks: Iterable[Task]) -> Iterator[Result]:

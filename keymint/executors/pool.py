@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pools carry out tasks and yield the results in order; the default one has processes of this machine."""
+"""A pool carries out tasks and yields the results in order, in processes of this machine unless it is another kind."""
 
 from __future__ import annotations
 
@@ -27,17 +27,23 @@ PARTS_FOR_EACH = 4
 
 
 class Pool:
-    """Carries out tasks.
+    """Carries out tasks, in processes that are forked for each call with more than one task.
+
+    Args:
+        plugins: the installed plugins.
+        size: number of tasks that it carries out at a time.
 
     Attributes:
-        size: number of tasks that it carries out at a time.
         shares_memory: its processes have the memory and the files of this one; else tasks are sent to them.
         trusted: what its processes answer is as good as what this process finds.
     """
 
-    shares_memory: bool
-    size: int
-    trusted: bool
+    shares_memory = True
+    trusted = True
+
+    def __init__(self, plugins: Plugins, size: int) -> None:
+        self._plugins = plugins
+        self.size = size
 
     def parts(self, items: Sequence[Task], least: int) -> list[Sequence[Task]]:
         """Divide work into parts of about equal size, in order; a user who named a cluster wants all of it there.
@@ -56,26 +62,6 @@ class Pool:
         Raises:
             KeymintError: the work fails, or a process that carries it out is lost.
         """
-        raise NotImplementedError
-
-
-class Processes(Pool):
-    """Processes, forked for each call with more than one task.
-
-    Args:
-        plugins: the installed plugins.
-        size: number of processes.
-    """
-
-    shares_memory = True
-    trusted = True
-
-    def __init__(self, plugins: Plugins, size: int) -> None:
-        self._plugins = plugins
-        self.size = size
-
-    def map(self, work: Work[Task, Result], tasks: Iterable[Task]) -> Iterator[Result]:
-        """See :meth:`Pool.map`."""
         # A forked process has the tasks already: they need not be sent to it.
         tasks = tuple(tasks)
         count = min(self.size, len(tasks))

@@ -8,7 +8,7 @@ Names that differ in one position share a pattern with a set of characters there
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from itertools import combinations
+from itertools import combinations, groupby
 from operator import ne
 from string import ascii_letters, digits
 
@@ -61,10 +61,7 @@ def similar(names: Iterable[str]) -> frozenset[str]:
 
 def _by_length(names: Iterable[str]) -> Iterable[list[str]]:
     """Return the distinct names of each length."""
-    lengths: dict[int, list[str]] = {}
-    for name in dict.fromkeys(names):
-        lengths.setdefault(len(name), []).append(name)
-    return lengths.values()
+    return [list(words) for _, words in groupby(sorted(set(names), key=len), len)]
 
 
 def _differing(words: Iterable[str]) -> list[int]:

@@ -373,15 +373,11 @@ def next_report(plan: Plan, report: Report) -> Report | None:
     """
     if not plan.writes():
         return report
-    # It is not known how such a step is reported next time.
-    unclear = {Action.REMOVED, Action.KEPT}
-    if report.diagnostics or any(
-        step.action in unclear or (step.stage == BUILD and not step.package) for step in plan.steps
-    ):
-        return None
-    # What has no package is only reported if it is written.
-    written = [step for step in plan.steps if step.package]
-    details = [step.detail if step.stage == AUTHORITIES else "" for step in written]
-    again = zip(written, details, strict=True)
-    steps = [Step(step.stage, step.package, Action.UNCHANGED, detail=detail) for step, detail in again]
-    return replace(report, steps=steps)
+    steps: list[Step] = []
+    for step in plan.steps:
+        if step.action in {Action.REMOVED, Action.KEPT} or (step.stage == BUILD and not step.package):
+            return None  # it is not known how such a step is reported next time
+        if step.package:  # what has none is only reported if it is written
+            detail = step.detail if step.stage == AUTHORITIES else ""
+            steps.append(Step(step.stage, step.package, Action.UNCHANGED, detail=detail))
+    return None if report.diagnostics else replace(report, steps=steps)

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import field, replace
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from comarmor.errors import Diagnostic, Origin, Severity, citation
 from comarmor.text import did_you_mean
@@ -19,7 +19,7 @@ from keymint import SPACES
 from keymint.api import BuildOptions, Environment
 from keymint.api.plugin_loader import Plugins
 from keymint.errors import ExitCode, KeymintError, usage_error
-from keymint.executors import PROCESSES, Processes
+from keymint.executors import PROCESSES, Pool
 from keymint.names import package_name
 from keymint.output.console import Console, Streams
 from keymint.output.report import Report, merged_diagnostics
@@ -35,9 +35,6 @@ from keymint.view.stamps import load as load_state
 from keymint.view.tree import HeldError, Tree, read_file
 from keymint.workspace.session import Inputs, Session
 from keymint.workspace.workspace import Workspace, find, missing_gitignores, packages, shown_path
-
-if TYPE_CHECKING:
-    from keymint.executors import Pool
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,7 +243,7 @@ class Run:
             KeymintError: the user named a cluster that cannot be used.
         """
         if not self.has_cluster:
-            yield Processes(self.plugins, self.jobs)
+            yield Pool(self.plugins, self.jobs)
             return
         from keymint.executors.cluster import cluster  # noqa: PLC0415 - few runs need it
 

@@ -7,8 +7,10 @@ subject's permissions to whoever replaced it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections import UserDict
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 from cryptography import x509
 
@@ -280,21 +282,13 @@ def authority_of(authorities: Mapping[str, MintedAuthority], name: str, origin: 
 # -- the authorities that sign, each asked for its key only when something must be signed -----------------------------
 
 
-class Signers(Mapping[str, SigningAuthority]):
+class Signers(UserDict[str, Any]):
     """Signing authorities by role; access to one whose key is elsewhere raises a KeymintError that says so.
 
     Args:
         authorities: the authorities by role.
     """
 
-    def __init__(self, authorities: Mapping[str, MintedAuthority]) -> None:
-        self._authorities = authorities
-
     def __getitem__(self, role: str) -> SigningAuthority:
-        return self._authorities[role].signer
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._authorities)
-
-    def __len__(self) -> int:
-        return len(self._authorities)
+        minted: MintedAuthority = self.data[role]
+        return minted.signer

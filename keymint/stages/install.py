@@ -250,37 +250,29 @@ def _plan_shared(
     for build_type, names in users(session).items():
         key = record_key(build_type)
         if is_built(session, key):
-            planned.append(_plan_shared_documents(session, key, authorities, _stale(session, key, removed)))
+            planned.append(_plan_shared_documents(session, key, authorities, removed))
         elif not set(chosen).isdisjoint(names):
             raise _not_built(session, key, f"the shared documents of {build_type} are")
     return [*planned, *obsolete_documents(session, STAGE, session.workspace.install)]
 
 
-def _stale(session: Session, key: str, removed: Sequence[str]) -> tuple[Diagnostic, ...]:
-    """Return a warning if the documents over all packages of a build type are stale.
-
-    Raises:
-        KeymintError: they are, although enclaves are removed.
-    """
-    if is_build_current(session, key):
-        return ()
-    folder = documents_folder(session, key)
-    where = next((session.workspace.origin(folder / path) for path in session.state.stamps[BUILD][key].outputs), None)
-    if removed:
-        raise KeymintError(
-            f"is stale, and may still have the rights of {subject_of(removed[0])}, whose enclave is to be removed",
-            where=where,
-            help="run 'keymint build' first",
-            code=OUTDATED,
-        )
-    return (Diagnostic.warning(OUTDATED, _STALE, where, "'keymint build' rebuilds it"),)
-
-
 def _plan_shared_documents(
-    session: Session, key: str, authorities: Mapping[str, MintedAuthority], stale: tuple[Diagnostic, ...]
+    session: Session, key: str, authorities: Mapping[str, MintedAuthority], removed: Sequence[str]
 ) -> PackagePlan:
+    stale: list[Diagnostic] = []
+    if not is_build_current(session, key):
+        paths = (documents_folder(session, key) / path for path in session.state.stamps[BUILD][key].outputs)
+        where = next(map(session.workspace.origin, paths), None)
+        if removed:
+            raise KeymintError(
+                f"is stale, and may still have the rights of {subject_of(removed[0])}, whose enclave is to be removed",
+                where=where,
+                help="run 'keymint build' first",
+                code=OUTDATED,
+            )
+        stale.append(Diagnostic.warning(OUTDATED, _STALE, where, "'keymint build' rebuilds it"))
     if is_current(session, key):
-        return PackagePlan(key, diagnostics=stale)
+        return PackagePlan(key, diagnostics=tuple(stale))
     documents, install = built_documents(session, key), session.workspace.install
     artifacts, existing = sign_shared(session, shared_type(key), documents, authorities)
     stamp = session.state.stamp(STAGE, key)

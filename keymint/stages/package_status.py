@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from datetime import datetime
 
@@ -112,13 +113,6 @@ def _certificate_end(session: Session, name: str) -> datetime | None:
     return certificate.not_valid_after_utc if certificate else None
 
 
-def _terms(session: Session, name: str, *, as_recorded: bool) -> tuple[Term, ...]:
-    try:
-        return enclave_terms(session, name, as_recorded=as_recorded)
-    except KeymintError:
-        return ()  # the package has defects, which are its problem
-
-
 def _row(session: Session, differing: Mapping[str, str], name: str, *, installed: bool) -> StatusRow:
     try:
         built = is_built(session, name)
@@ -145,7 +139,10 @@ def _row(session: Session, differing: Mapping[str, str], name: str, *, installed
     if not current:
         is_unknown = session.tree.is_left_out(session.workspace.identity_key(name))
         stale = stale or ("" if installed and is_unknown else "install")
-    terms = _terms(session, name, as_recorded=current) if installed else ()
+    terms: tuple[Term, ...] = ()
+    if installed:
+        with contextlib.suppress(KeymintError):  # the package has defects, which are its problem
+            terms = enclave_terms(session, name, as_recorded=current)
     end = next((each.last for each in terms if each.what == CERTIFICATE), None)
     end = end or _certificate_end(session, name)
     return StatusRow(name, stage, stale, end, permissions_end, problem, terms)

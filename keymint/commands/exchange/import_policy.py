@@ -3,12 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.text import first_few, quantity
-from comarmor.values import dataclass
 from comarmor.xml.reader import looks_like_xml, parse
 from keymint.api import (
     Comparison,
@@ -76,11 +75,11 @@ def import_policy(
     _refuse_other_library(run, output, request.library, imported.document)
     keep = None if force else replacement_refusal(file, "imported", "name another folder with -o", "import-exists")
     delivered = deliver(run, file, imported.document, keep=keep)
-    same = sum(proof.is_same for proof in proofs)
+    same = sum(map(is_same, proofs.values()))
     run.console.line(
         f"{quantity(len(proofs), 'subject')}: {same} proven to permit, for all names, what {importer.TOOL} lets it do"
     )
-    subjects = [{"subject": proof.subject, "same": proof.is_same} for proof in proofs]
+    subjects = [{"subject": subject, "same": is_same(comparison)} for subject, comparison in proofs.items()]
     rules = ((each.rules, Origin(str(policy))) for each in imported.subjects)
     nodes = node_notes(run.plugins, (importer.BUILD_TYPE,), policies.distro, rules)
     diagnostics = [*imported.diagnostics, *diagnostics_of(proofs, importer.TOOL), *_beside(run, policy, file), *nodes]
@@ -111,8 +110,8 @@ def proofs_of(
     subjects: Iterable[ImportedSubject],
     distro: str,
     said: Iterable[Diagnostic],
-) -> list[SubjectProof]:
-    """Return what is proven about subjects whose documents another tool writes.
+) -> Mapping[str, Comparison]:
+    """Return what is proven about subjects whose documents another tool writes, by subject.
 
     Args:
         run: the run.
@@ -129,20 +128,20 @@ def proofs_of(
     if reader is None:
         raise KeymintError(f"the build type {translator.BUILD_TYPE} compares no documents", code="import-unproven")
     effort = ProofEffort(run.setting.monotonic)
-    proofs: list[SubjectProof] = []
+    proofs: dict[str, Comparison] = {}
     refuted: list[Diagnostic] = []
     for each in subjects:
         with effort.limit(each.rules.rules):
             comparison = reader.compare(each, distro, effort.states, effort.deadline())
-        proofs.append(SubjectProof(each.rules.subject, comparison))
+        subject = each.rules.subject
+        proofs[subject] = comparison
         claims = (*comparison.ours, *(() if each.deviates else standard_claims(comparison.theirs)))
         if claim := next((claim for claim in claims if claim.proof is not Proof.PROVEN), None):
             example, help_ = claim.counterexample, "simplify the policy"
             reason = f"{claim.model}, {claim.action}: {claim.reason}"
             if example is not None:
                 reason, help_ = _difference(example, translator.TOOL), "this is a defect of Keymint: report it"
-            subject, theirs = each.rules.subject, f"what {translator.TOOL}'s document permits"
-            message = f"{subject}: not proven to permit {theirs}: {reason}"
+            message = f"{subject}: not proven to permit what {translator.TOOL}'s document permits: {reason}"
             refuted.append(Diagnostic.error("import-unproven", message, None, help_, subject))
     if refuted:
         raise KeymintError.of([*said, *refuted])
@@ -176,45 +175,32 @@ def _beside(run: Run, policy: Path, file: Path) -> Iterator[Diagnostic]:
         yield Diagnostic.warning("import-beside", message, Origin(str(file)), help_)
 
 
-@dataclass(frozen=True, slots=True)
-class SubjectProof:
-    """What is proven about a subject.
-
-    Attributes:
-        subject: the subject.
-        comparison: the claims.
-    """
-
-    subject: str
-    comparison: Comparison
-
-    @property
-    def is_same(self) -> bool:
-        """Whether both documents permit the same for all names, as the standard reads them."""
-        claims = (*standard_claims(self.comparison.theirs), *self.comparison.ours)
-        return all(claim.proof is Proof.PROVEN for claim in claims)
+def is_same(comparison: Comparison) -> bool:
+    """Tell whether both documents permit the same for all names, as the standard reads them."""
+    claims = (*standard_claims(comparison.theirs), *comparison.ours)
+    return all(claim.proof is Proof.PROVEN for claim in claims)
 
 
-def diagnostics_of(proofs: Iterable[SubjectProof], tool: str) -> Iterator[Diagnostic]:
+def diagnostics_of(proofs: Mapping[str, Comparison], tool: str) -> Iterator[Diagnostic]:
     """Yield what changes for a subject, what vendors read otherwise, and rules that not every vendor supports."""
-    for proof in proofs:
-        yield from proof.comparison.diagnostics
-        standard = standard_claims(proof.comparison.theirs)
+    for subject, comparison in proofs.items():
+        yield from comparison.diagnostics
+        standard = standard_claims(comparison.theirs)
         for claim in standard:
             if claim.counterexample is not None:
-                message = f"{proof.subject}: what is enforced changes: {_difference(claim.counterexample, tool)}"
+                message = f"{subject}: what is enforced changes: {_difference(claim.counterexample, tool)}"
                 where = claim.counterexample.policy.where
-                yield Diagnostic.warning("import-changes", message, where, "", proof.subject)
-        if not proof.is_same:
+                yield Diagnostic.warning("import-changes", message, where, "", subject)
+        if not is_same(comparison):
             continue
         seen = {standard[0].model}  # each vendor that reads the other tool's document differently is noted once
-        for claim in proof.comparison.theirs:
+        for claim in comparison.theirs:
             if claim.counterexample is not None and claim.model not in seen:
                 seen.add(claim.model)
-                message = f"{proof.subject}: {claim.model} reads {tool}'s document differently from the standard"
+                message = f"{subject}: {claim.model} reads {tool}'s document differently from the standard"
                 difference = f"{message}: {_difference(claim.counterexample, tool)}"
                 where = claim.counterexample.policy.where
-                yield Diagnostic.note("import-vendor", difference, where, "", proof.subject)
+                yield Diagnostic.note("import-vendor", difference, where, "", subject)
 
 
 def _difference(example: Counterexample, tool: str) -> str:

@@ -4,14 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import click
 
 from comarmor.errors import Diagnostic
 from keymint.analysis.lint.attachment_mistakes import attachment_mistakes
-from keymint.api import BuildOptions, LoadedPolicy
+from keymint.api import BuildOptions, Hint, LoadedPolicy
 from keymint.command_line.named_files import read_input
 from keymint.command_line.options import DocumentOptions, document_options, packages_argument, renew_option
 from keymint.command_line.verb import Report, Run, flag, verb
@@ -84,12 +83,12 @@ def build_options(run: Run, given: DocumentOptions) -> BuildOptions:
     """
     if given.hints is not None and not given.optimise:
         raise click.UsageError("--hints changes the order of rules, which --no-optimise keeps.")
-    plain = BuildOptions(given.allow_vendor_specific, given.optimise)
-    if given.hints is None:
-        return plain
-    from keymint.command_line.request_counts import load_hints  # noqa: PLC0415 - few builds have hints
+    hints: tuple[Hint, ...] = ()
+    if given.hints is not None:
+        from keymint.command_line.request_counts import load_hints  # noqa: PLC0415 - few builds have hints
 
-    return replace(plain, hints=load_hints(read_input(run, given.hints), str(given.hints)))
+        hints = load_hints(read_input(run, given.hints), str(given.hints))
+    return BuildOptions(given.allow_vendor_specific, given.optimise, hints)
 
 
 def policy_slips(session: Session, steps: Iterable[Step], policy: LoadedPolicy | None = None) -> tuple[Diagnostic, ...]:

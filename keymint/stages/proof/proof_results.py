@@ -297,7 +297,17 @@ def dump_claims(claims: tuple[Claim, ...]) -> str:
 def load_proof(stamp: Stamp, folder: str) -> tuple[tuple[Claim, ...], tuple[ValidityTerm, ...]] | None:
     """Return the recorded claims and terms, or None if the stamp has no legible ones."""
     try:
-        return load_claims(stamp.outputs.get(_CLAIMS, "")), _load_terms(stamp.outputs.get(_TERMS, ""), folder)
+        terms = tuple(
+            ValidityTerm(
+                str(code),
+                str(what),
+                Origin(f"{folder}/{file}", int(line)),
+                tuple((_moment(first), _moment(last)) for first, last in periods),
+                tuple(map(str, models)),
+            )
+            for code, what, file, line, periods, models in json.loads(stamp.outputs.get(_TERMS, ""))
+        )
+        return load_claims(stamp.outputs.get(_CLAIMS, "")), terms
     except (ValueError, TypeError):
         return None
 
@@ -309,14 +319,8 @@ def has_rules(stamp: Stamp, rules: Iterable[SubjectRules]) -> bool:
 
 def _rules_digest(rules: Iterable[SubjectRules]) -> str:
     """Return a digest of rules, independent of where they are written."""
-    return digest(
-        *(
-            part
-            for of_subject in rules
-            for kind, names in [kind_of(of_subject.rules)]
-            for part in (_kind_digest(kind), *names)
-        )
-    )
+    kinds = (kind_of(of_subject.rules) for of_subject in rules)
+    return digest(*(part for kind, names in kinds for part in (_kind_digest(kind), *names)))
 
 
 @lru_cache(maxsize=1 << 12)
@@ -341,17 +345,4 @@ def load_claims(text: str) -> tuple[Claim, ...]:
             excepted=tuple(map(str, excepted)),
         )
         for model, action, domains, universe, excepted in json.loads(text)
-    )
-
-
-def _load_terms(text: str, folder: str) -> tuple[ValidityTerm, ...]:
-    return tuple(
-        ValidityTerm(
-            str(code),
-            str(what),
-            Origin(f"{folder}/{file}", int(line)),
-            tuple((_moment(first), _moment(last)) for first, last in periods),
-            tuple(map(str, models)),
-        )
-        for code, what, file, line, periods, models in json.loads(text)
     )

@@ -14,7 +14,7 @@ from keymint_ros import permissions
 from keymint_ros2_dds import DdsSecurity
 
 from keymint.examine import check
-from keymint.executors.pool import Processes, divide
+from keymint.executors.pool import Pool, divide
 from tests.conftest import NOW, snapshot
 
 DAY = 86_400
@@ -193,7 +193,7 @@ def test_sources_that_were_built_are_neither_parsed_nor_built_again(keymint, jus
 def test_several_processes_find_the_same(
     keymint, provisioned: Path, monkeypatch: pytest.MonkeyPatch, change: Callable[[Path], None]
 ) -> None:
-    monkeypatch.setattr(Processes, "parts", lambda self, items, _least: divide(items, self.size))
+    monkeypatch.setattr(Pool, "parts", lambda self, items, _least: divide(items, self.size))
     change(provisioned)
     alone, together = (keymint("check", "--json", "-j", number, cwd=provisioned) for number in ("1", "2"))
     assert (alone.code, alone.out, alone.err) == (together.code, together.out, together.err)

@@ -18,7 +18,7 @@ from keymint.api.plugin_loader import Plugins
 from keymint.errors import ExitCode, KeymintError
 from keymint.executors import cluster as worker
 from keymint.executors.cluster import cluster
-from keymint.executors.pool import Processes, divide, in_order
+from keymint.executors.pool import Pool, divide, in_order
 from tests.conftest import CHECKOUT
 
 
@@ -34,7 +34,7 @@ def test_parts_together_are_all_items_in_order(items: list[int], number: int) ->
     ("size", "items", "least", "parts"), [(1, 100, 1, 1), (2, 100, 1, 8), (2, 100, 40, 2), (4, 3, 9, 1)]
 )
 def test_little_work_stays_in_one_part(size: int, items: int, least: int, parts: int) -> None:
-    assert len(Processes(Plugins(()), size).parts(range(items), least)) == parts
+    assert len(Pool(Plugins(()), size).parts(range(items), least)) == parts
 
 
 def test_no_more_tasks_wait_than_allowed() -> None:
@@ -59,8 +59,8 @@ def test_no_more_tasks_wait_than_allowed() -> None:
 
 def run(code: str) -> subprocess.CompletedProcess[str]:
     """Run code in a process that may fork."""
-    begin = "import os\nfrom keymint.executors.pool import Processes\nfrom keymint.api.plugin_loader import Plugins\n"
-    begin += "from keymint.errors import KeymintError\npool = Processes(Plugins(()), 2)\n"
+    begin = "import os\nfrom keymint.executors.pool import Pool\nfrom keymint.api.plugin_loader import Plugins\n"
+    begin += "from keymint.errors import KeymintError\npool = Pool(Plugins(()), 2)\n"
     return subprocess.run(
         [sys.executable, "-c", begin + code], cwd=CHECKOUT, capture_output=True, text=True, check=False
     )

@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from keymint.api import Claim, Comparison, ImportedSubject, Proof
-from keymint.commands.exchange.import_policy import SubjectProof, diagnostics_of, proofs_of
+from keymint.commands.exchange.import_policy import diagnostics_of, is_same, proofs_of
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 
@@ -18,13 +19,13 @@ def claim(model: str, proof: Proof = Proof.PROVEN) -> Claim:
     return Claim(model, "publish", (), "all names", proof, "" if proof is Proof.PROVEN else "the limit was reached")
 
 
-def proof(theirs: Proof, ours: Proof, vendor: Proof = Proof.PROVEN) -> SubjectProof:
+def proof(theirs: Proof, ours: Proof, vendor: Proof = Proof.PROVEN) -> Comparison:
     claims = claim("standard", theirs), claim("vendor", vendor)
-    return SubjectProof("/a", Comparison(claims, (claim("standard", ours),), ()))
+    return Comparison(claims, (claim("standard", ours),), ())
 
 
-def proofs(theirs: Proof, ours: Proof, *, deviates: bool = False) -> list[SubjectProof]:
-    compared = proof(theirs, ours).comparison
+def proofs(theirs: Proof, ours: Proof, *, deviates: bool = False) -> Mapping[str, Comparison]:
+    compared = proof(theirs, ours)
     reader = SimpleNamespace(compare=lambda *_arguments: compared)
     plugins = SimpleNamespace(build_type=lambda _name: SimpleNamespace(keystores=reader))
     run: Any = SimpleNamespace(plugins=plugins, setting=SimpleNamespace(monotonic=lambda: 0.0))
@@ -35,10 +36,10 @@ def proofs(theirs: Proof, ours: Proof, *, deviates: bool = False) -> list[Subjec
 
 def test_both_documents_must_be_proven_by_the_standard() -> None:
     yes, no = Proof.PROVEN, Proof.UNKNOWN
-    assert proof(yes, yes).is_same
-    assert proof(yes, yes, no).is_same
-    assert not proof(no, yes).is_same
-    assert not proof(yes, no).is_same
+    assert is_same(proof(yes, yes))
+    assert is_same(proof(yes, yes, no))
+    assert not is_same(proof(no, yes))
+    assert not is_same(proof(yes, no))
 
 
 def test_what_is_unknown_is_an_error_unless_it_was_accepted() -> None:
