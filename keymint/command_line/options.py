@@ -14,7 +14,7 @@ import click
 from comarmor.regex import lazy_regex
 from comarmor.rules import PERMISSIONS
 from comarmor.values import dataclass
-from keymint.command_line.verb import PATH, argument, flag, option, option_group, plugin
+from keymint.command_line.verb import argument, flag, option, option_group, path_option, plugin
 from keymint.errors import KeymintError
 from keymint.life.terms import Threshold
 from keymint.stages.work import InstallRequest
@@ -176,10 +176,8 @@ class DocumentOptions:
         show_default=True,
         help="Rewrite permissions into fewer rules and expressions, proven equivalent.",
     )
-    hints: Path | None = option(
-        type=PATH,
-        metavar="FILE",
-        help="Put frequent requests first: a CSV of subject,permission,object,count, or a graph.",
+    hints: Path | None = path_option(
+        "Put frequent requests first: a CSV of subject,permission,object,count, or a graph."
     )
 
 

@@ -32,7 +32,7 @@ from keymint.workspace.shipped_profiles import UnacceptedPackagesError
 
 __all__ = [
     "FILE", "PATH", "Number", "OptionGroup", "PluginOption", "Report", "Run", "argument", "findings_exit",
-    "findings_if", "flag", "graph_source", "option", "option_group", "parameters_of", "plugin", "verb",
+    "findings_if", "flag", "graph_source", "option", "option_group", "parameters_of", "path_option", "plugin", "verb",
 ]  # fmt: skip
 Verb = Callable[..., Report]
 """The function of a verb; ``inspect.unwrap`` finds it below the callback of its click command."""
@@ -183,6 +183,11 @@ def option(*names: str, cls: type[click.Option] = click.Option, **settings: Any)
 def flag(text: str, *names: str) -> Any:
     """Return the default of an argument that is true if an option is given; the help page has a text about it."""
     return option(*names, is_flag=True, help=text)
+
+
+def path_option(text: str, *names: str, kind: click.Path = PATH, metavar: str = "FILE", **settings: Any) -> Any:
+    """Return the default of an argument that names a file or a folder; see :func:`flag` and :func:`option`."""
+    return option(*names, type=kind, metavar=metavar, help=text, **settings)
 
 
 def plugin(group: str, text: str, *names: str, **settings: Any) -> Any:

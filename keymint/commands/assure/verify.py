@@ -19,7 +19,7 @@ from keymint.api.graph_json import load
 from keymint.command_line.named_files import read_input, source_files, write_outputs
 from keymint.command_line.named_policies import workspace_library_rules
 from keymint.command_line.options import packages_argument, transport_option, vendors_of_option
-from keymint.command_line.verb import FILE, PATH, Report, Run, findings_if, flag, option, verb
+from keymint.command_line.verb import FILE, Report, Run, findings_if, flag, option, path_option, verb
 from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph, policy_label, select_edges
 from keymint.drawing.simplify import DrawingOptions
 from keymint.life.workspace_register import with_enclaves
@@ -50,12 +50,10 @@ _UNSAFE = lazy_regex(r"[^A-Za-z0-9._-]+")
 def verify(
     run: Run,
     names: tuple[str, ...] = packages_argument,
-    graph: Path | None = option(
-        "-g",
-        type=PATH,
-        metavar="FILE",
-        help="Ask for every subject, permission and object of this graph (docs/graph.md) [the objects of the policy, "
+    graph: Path | None = path_option(
+        "Ask for every subject, permission and object of this graph (docs/graph.md) [the objects of the policy, "
         "and names that probe its patterns].",
+        "-g",
     ),
     chosen: tuple[str, ...] = transport_option,
     distro: str | None = vendors_of_option,

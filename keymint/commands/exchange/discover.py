@@ -22,7 +22,7 @@ from comarmor.errors import Diagnostic, Origin
 from keymint.api import DiscoveredGraph, GraphSource, graph_json
 from keymint.api.graph import NAMES_DIFFER, Graph, differing_names
 from keymint.command_line.named_files import deliver, exists, read_input
-from keymint.command_line.verb import PATH, Number, Report, Run, flag, graph_source, option, plugin, verb
+from keymint.command_line.verb import Number, Report, Run, flag, graph_source, option, path_option, plugin, verb
 from keymint.errors import ExitCode, KeymintError, usage_error
 from keymint.names import typed_subject
 
@@ -40,21 +40,15 @@ def discover(
         metavar="S",
         help="How long to observe. Endpoints that disappear meanwhile count too.",
     ),
-    captures: tuple[Path, ...] = option(
+    captures: tuple[Path, ...] = path_option(
+        "Read a Keymint graph, or a capture that the source knows, instead (docs/graph.md). May be repeated.",
         "--from",
-        type=PATH,
         multiple=True,
-        metavar="FILE",
-        help="Read a Keymint graph, or a capture that the source knows, instead (docs/graph.md). May be repeated.",
     ),
-    append: Path | None = option(
-        type=PATH,
-        metavar="GRAPH",
-        help="Add to this graph, which is created if missing. Without -o the result is written there.",
+    append: Path | None = path_option(
+        "Add to this graph, which is created if missing. Without -o the result is written there.", metavar="GRAPH"
     ),
-    output: Path | None = option(
-        "-o", type=PATH, metavar="FILE", help="Write the graph to this file [standard output]."
-    ),
+    output: Path | None = path_option("Write the graph to this file [standard output].", "-o"),
     no_fold: bool = flag("Keep the services and topics of actions and parameters separate."),
     subjects: tuple[str, ...] = option(
         "--subject",

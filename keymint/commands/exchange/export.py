@@ -14,7 +14,7 @@ from keymint.api import LoadedPolicy, PolicyFormat, PolicyType
 from keymint.command_line.named_files import deliver, read_input, replacement_refusal
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions, force_option, policy_options
-from keymint.command_line.verb import FILE, PATH, Report, Run, argument, flag, option, verb
+from keymint.command_line.verb import FILE, PATH, Report, Run, argument, flag, option, path_option, verb
 from keymint.commands.exchange.import_policy import diagnostics_of, proofs_of
 from keymint.errors import KeymintError, usage_error
 from keymint.ir import SubjectRules
@@ -28,11 +28,9 @@ def export(
     run: Run,
     policy: Path | None = argument(required=False, type=PATH),
     form: str = option("--format", metavar="NAME", required=True, help="The format: of a policy type, or xacml."),
-    output: Path | None = option(
-        "-o", type=FILE, metavar="FILE", help="Write the policy to this file [standard output]."
-    ),
-    listed: Path | None = option(
-        "--subjects", type=FILE, metavar="FILE", help="Further subjects, one a line, for profiles with wildcards."
+    output: Path | None = path_option("Write the policy to this file [standard output].", "-o", kind=FILE),
+    listed: Path | None = path_option(
+        "Further subjects, one a line, for profiles with wildcards.", "--subjects", kind=FILE
     ),
     lossy: bool = flag("Leave out ALLOW rules that the format cannot express; each is listed."),
     force: bool = force_option,

@@ -22,7 +22,7 @@ from keymint.api import (
 from keymint.command_line.named_files import deliver, exists, read_input, replacement_refusal
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions, distro_option, force_option, library_option
-from keymint.command_line.verb import FILE, PATH, Report, Run, argument, flag, option, verb
+from keymint.command_line.verb import FILE, Report, Run, argument, flag, option, path_option, verb
 from keymint.errors import KeymintError
 from keymint.examine.nodes import node_notes
 from keymint.stages.proof.proof_results import ProofEffort, in_words
@@ -33,13 +33,12 @@ from keymint.workspace.policy_loading import foreign_policy
 def import_policy(
     run: Run,
     policy: Path = argument(type=FILE),
-    output: Path = option(
+    output: Path = path_option(
+        "Write the new policy into this folder, as NAME.xml.",
         "-o",
-        type=PATH,
         metavar="DIR",
         default="comarmor.d",
         show_default=True,
-        help="Write the new policy into this folder, as NAME.xml.",
     ),
     accept: bool = flag("Take the policy as it reads where the other tool enforces something else."),
     implicit: bool = option(

@@ -18,7 +18,7 @@ from keymint.api.graph import NAMES_DIFFER, Graph, differing_names
 from keymint.command_line.named_files import deliver, read_input, replacement_refusal, show_written, write_outputs
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions, force_option, policy_options
-from keymint.command_line.verb import PATH, Report, Run, argument, findings_if, option, verb
+from keymint.command_line.verb import PATH, Report, Run, argument, findings_if, path_option, verb
 from keymint.errors import KeymintError, usage_error
 from keymint.stages.proof.proof_results import ProofEffort
 from keymint.workspace.policy_loading import foreign_policy
@@ -28,16 +28,11 @@ from keymint.workspace.policy_loading import foreign_policy
 def learn(
     run: Run,
     graphs: tuple[Path, ...] = argument(type=PATH, nargs=-1, metavar="[GRAPH]..."),
-    keystore: Path | None = option(
-        "--from-keystore",
-        type=PATH,
-        metavar="KEYSTORE",
-        help="Learn from the signed documents of a keystore in place of a graph.",
+    keystore: Path | None = path_option(
+        "Learn from the signed documents of a keystore in place of a graph.", "--from-keystore", metavar="KEYSTORE"
     ),
-    policy: Path | None = option(type=PATH, metavar="EXISTING", help="Keep this policy; generate only what it lacks."),
-    output: Path | None = option(
-        "-o", type=PATH, metavar="FILE", help="Write the policy to this file [standard output]."
-    ),
+    policy: Path | None = path_option("Keep this policy; generate only what it lacks.", metavar="EXISTING"),
+    output: Path | None = path_option("Write the policy to this file [standard output].", "-o"),
     force: bool = force_option,
     policy_options: PolicyOptions = policy_options,
 ) -> Report:

@@ -17,7 +17,7 @@ from keymint.authority.authority_changes import (
 )
 from keymint.command_line.named_files import read_input
 from keymint.command_line.options import authority_argument, flag_day_option
-from keymint.command_line.verb import FILE, Report, Run, argument, option, verb
+from keymint.command_line.verb import FILE, Report, Run, argument, path_option, verb
 from keymint.errors import KeymintError
 from keymint.life.revocation_lists_in_force import list_of
 from keymint.stages.pipeline import Request, conduct
@@ -117,9 +117,7 @@ def authority_import(
     run: Run,
     name: str = authority_argument,
     certificate: Path = argument(type=FILE),
-    key_file: Path | None = option(
-        "--key", type=FILE, metavar="FILE", help="Its private key, which is copied into private/."
-    ),
+    key_file: Path | None = path_option("Its private key, which is copied into private/.", "--key", kind=FILE),
     flag_day: bool = flag_day_option,
 ) -> Report:
     """Use the certificate of an authority that somebody else issued, as it is.

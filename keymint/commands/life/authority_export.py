@@ -10,7 +10,7 @@ from keymint.authority import authority_files
 from keymint.authority.authorities import authority_named, only_in_token
 from keymint.command_line.named_files import deliver, write_outputs
 from keymint.command_line.options import authority_argument
-from keymint.command_line.verb import FILE, Report, Run, flag, option, verb
+from keymint.command_line.verb import FILE, Report, Run, flag, path_option, verb
 from keymint.errors import KeymintError, usage_error
 
 
@@ -18,13 +18,12 @@ from keymint.errors import KeymintError, usage_error
 def authority_export(
     run: Run,
     name: str = authority_argument,
-    output: Path | None = option("-o", type=FILE, metavar="FILE", help="Write the certificate here [standard output]."),
+    output: Path | None = path_option("Write the certificate here [standard output].", "-o", kind=FILE),
     chain: bool = flag("Add the certificates above it, up to the self-signed one."),
-    key_file: Path | None = option(
+    key_file: Path | None = path_option(
+        "Also write its private key here (mode 0600). Whoever has it can make any robot do anything.",
         "--with-key",
-        type=FILE,
-        metavar="FILE",
-        help="Also write its private key here (mode 0600). Whoever has it can make any robot do anything.",
+        kind=FILE,
     ),
 ) -> Report:
     """Write the certificate of an authority as PEM; never its private key, unless --with-key asks for it."""

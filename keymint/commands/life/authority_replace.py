@@ -13,7 +13,7 @@ from comarmor.errors import Diagnostic
 from keymint.api import Phase
 from keymint.authority import rollover
 from keymint.command_line.options import authority_argument
-from keymint.command_line.verb import FILE, Report, Run, flag, option, verb
+from keymint.command_line.verb import FILE, Report, Run, flag, option, path_option, verb
 from keymint.commands.life.authority_change import given_authority
 from keymint.errors import usage_error
 from keymint.stages.rollover_phases import PhaseRequest, phase_plan
@@ -37,10 +37,8 @@ def authority_replace(
         help="The fleet has only this implementation of its transport; may be repeated [all]. If all of them "
         "accept two authorities at once, no robot must wait for another one.",
     ),
-    certificate: Path | None = option(
-        type=FILE, metavar="FILE", help="The next authority is this one, made elsewhere."
-    ),
-    key_file: Path | None = option("--key", type=FILE, metavar="FILE", help="Its private key."),
+    certificate: Path | None = path_option("The next authority is this one, made elsewhere.", kind=FILE),
+    key_file: Path | None = path_option("Its private key.", "--key", kind=FILE),
 ) -> Report:
     """Replace the key of an authority, phase by phase.
 

@@ -16,7 +16,7 @@ from keymint.authority.authorities import MintedAuthority, plan_authorities
 from keymint.authority.rollover import phase_of
 from keymint.command_line.named_files import is_folder, show_written, write_outputs
 from keymint.command_line.options import complete_package
-from keymint.command_line.verb import PATH, Report, Run, argument, flag, option, verb
+from keymint.command_line.verb import Report, Run, argument, flag, path_option, verb
 from keymint.errors import KeymintError, usage_error
 from keymint.examine.keystore import of_enclaves
 from keymint.life.workspace_register import withdrawn
@@ -29,11 +29,10 @@ from keymint.store.changes import Plan
 from keymint.workspace.installed_enclaves import enclave_names
 from keymint.workspace.session import Session
 
-bundle_output_option = option(
+bundle_output_option = path_option(
+    "File of the bundle, or folder of several, which are named NAME.bundle [the current directory].",
     "-o",
-    type=PATH,
     metavar="PATH",
-    help="File of the bundle, or folder of several, which are named NAME.bundle [the current directory].",
 )
 
 

@@ -16,7 +16,7 @@ from keymint.api import Bootstrap, WorkspaceProfile
 from keymint.api.plugin_loader import Plugins
 from keymint.authority.authorities import plan_authorities
 from keymint.command_line.options import DEFAULT_DISTRO, DEFAULT_PROFILE_TYPE, distro_option, valid_for_option
-from keymint.command_line.verb import PATH, Report, Run, argument, option, option_group, plugin, verb
+from keymint.command_line.verb import PATH, Report, Run, argument, option, option_group, path_option, plugin, verb
 from keymint.errors import KeymintError, usage_error
 from keymint.stages.create import plan_init, policy_path, refuse_unsupported
 from keymint.stages.work import Work
@@ -59,10 +59,9 @@ profile_options = option_group(ProfileOptions)
 def init(
     run: Run,
     folder: Path | None = argument(metavar="[WORKSPACE]", required=False, type=PATH),
-    policy: Path | None = option(
-        type=PATH,
+    policy: Path | None = path_option(
+        "ComArmor file or directory that becomes the policy of the workspace [the talker/listener example].",
         metavar="PATH",
-        help="ComArmor file or directory that becomes the policy of the workspace [the talker/listener example].",
     ),
     profile: ProfileOptions = profile_options,
 ) -> Report:

@@ -26,6 +26,7 @@ from keymint.command_line.verb import (
     graph_source,
     option,
     option_group,
+    path_option,
     plugin,
     verb,
 )
@@ -64,9 +65,7 @@ class _DrawnPolicy:
 def graph(
     run: Run,
     source: Path | None = argument(metavar="[POLICY|GRAPH]", required=False, type=PATH),
-    output: Path | None = option(
-        "-o", type=PATH, metavar="FILE", help="Write to this file; its suffix selects the format."
-    ),
+    output: Path | None = path_option("Write to this file; its suffix selects the format.", "-o"),
     kind: str | None = option(
         "-f", "--format", type=click.Choice(FORMATS), help="Format [from the suffix of FILE, else svg]."
     ),
