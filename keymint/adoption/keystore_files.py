@@ -75,7 +75,7 @@ def read_keystore(folder: Path, typed: str, now: datetime) -> tuple[KeystoreFile
     files: dict[str, KeystoreFile] = {}
     problems: list[Diagnostic] = []
     size = 0
-    for path in _paths(root, str(root), problems, typed):
+    for path in _paths(root, problems, typed):
         try:
             file = _read(root, path)
         except (KeymintError, OSError) as error:
@@ -96,21 +96,16 @@ def _problems(error: KeymintError | OSError, place: str) -> Sequence[Diagnostic]
     return (read_error(place, error) if isinstance(error, OSError) else error.at(Origin(place))).diagnostics
 
 
-def _paths(root: Path, folder: str, problems: list[Diagnostic], typed: str) -> Iterator[str]:
+def _paths(root: Path, problems: list[Diagnostic], typed: str) -> Iterator[str]:
     """Yield the paths of all files and links below a folder; folders behind links are not entered."""
-    waiting = [folder]
-    while waiting:
-        inner = waiting.pop()
-        try:
-            entries = sorted(os.scandir(inner), key=lambda each: each.name)
-        except OSError as error:
-            problems += _problems(error, f"{typed}/{os.path.relpath(inner, root)}")
-            continue
-        for entry in entries:
-            if not entry.is_dir(follow_symlinks=False):
-                yield os.path.relpath(entry.path, root)
-            elif entry.name != ".git":
-                waiting.append(entry.path)
+
+    def note(error: OSError) -> None:
+        problems.extend(_problems(error, f"{typed}/{os.path.relpath(error.filename, root)}"))
+
+    for folder, folders, names in os.walk(root, onerror=note):
+        links = [name for name in folders if Path(folder, name).is_symlink()]
+        folders[:] = [name for name in folders if name != ".git"]
+        yield from (os.path.relpath(f"{folder}/{name}", root) for name in (*names, *links))
 
 
 def _read(root: Path, path: str) -> KeystoreFile:

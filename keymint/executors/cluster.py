@@ -230,7 +230,7 @@ def cluster(
         ) from error
     dask.config.refresh(env=environment)
     dask.config.set({"distributed.admin.large-graph-warning-threshold": "1TB"})
-    with _silent(), _no_pickles(), contextlib.ExitStack() as closing:
+    with _guarded_library(), contextlib.ExitStack() as closing:
         try:
             client = closing.enter_context(
                 distributed.Client(
@@ -344,14 +344,22 @@ _guarded = threading.Event()
 
 
 @contextlib.contextmanager
-def _no_pickles() -> Iterator[None]:
-    """Refuse pickles that name classes or functions, in all threads but this one: those of Dask."""
+def _guarded_library() -> Iterator[None]:
+    """Refuse pickles that name classes or functions, in all threads but this one: those of Dask.
+
+    Dask and its libraries write nothing to the terminal meanwhile: what the user must know is an error of ours.
+    """
+    import logging  # noqa: PLC0415 - nothing else here needs it
+
     _hook()
+    before = logging.root.manager.disable
+    logging.disable(logging.CRITICAL)
     _guarded.set()
     try:
         yield
     finally:
         _guarded.clear()
+        logging.disable(before)
 
 
 @functools.cache
@@ -365,16 +373,3 @@ def _refuse(event: str, arguments: tuple[Any, ...]) -> None:
         return
     if threading.current_thread() is not threading.main_thread():
         raise RefusedPickleError("pickles from a cluster are not read")
-
-
-@contextlib.contextmanager
-def _silent() -> Iterator[None]:
-    """Keep Dask and its libraries from writing to the terminal: what the user must know is an error of ours."""
-    import logging  # noqa: PLC0415 - nothing else here needs it
-
-    before = logging.root.manager.disable
-    logging.disable(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        logging.disable(before)

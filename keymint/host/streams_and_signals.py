@@ -12,10 +12,8 @@ import os
 import signal
 import sys
 from collections.abc import Iterator
-from typing import IO, TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from typing_extensions import Buffer
+from types import SimpleNamespace
+from typing import IO
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _received: list[int] = []
@@ -68,9 +66,9 @@ class Output(io.TextIOBase):
         return getattr(self._stream, "encoding", None) or "utf-8"
 
     @property
-    def buffer(self) -> _Bytes:
-        """The stream for bytes."""
-        return _Bytes(self)
+    def buffer(self) -> SimpleNamespace:
+        """What takes bytes: click writes completions to it."""
+        return SimpleNamespace(write=self.put, flush=self.flush)
 
     def isatty(self) -> bool:
         """Tell whether the stream is a terminal."""
@@ -93,8 +91,8 @@ class Output(io.TextIOBase):
             self._stream.write(text)
         return len(text)
 
-    def put(self, content: bytes) -> None:
-        """Write bytes unchanged, whatever the encoding of the stream.
+    def put(self, content: bytes) -> int:
+        """Write bytes unchanged, whatever the encoding of the stream, and return their number.
 
         Raises:
             OutputError: the stream does not exist, or cannot be written to.
@@ -102,11 +100,12 @@ class Output(io.TextIOBase):
         below = getattr(self._stream, "buffer", None)
         if below is None:
             self.write(content.decode("utf-8", "backslashreplace"))
-            return
+            return len(content)
         self.flush()
         with self._reported():
             self.began = self.began or bool(content)
             below.write(content)
+        return len(content)
 
     def flush(self) -> None:
         """Flush the stream.
@@ -136,27 +135,6 @@ class Output(io.TextIOBase):
             if self._required:
                 raise OutputError(error) from error
             self.give_up()
-
-
-class _Bytes(io.RawIOBase):
-    """The byte stream of an output: click writes completions to it."""
-
-    def __init__(self, output: Output) -> None:
-        self._output = output
-
-    def writable(self) -> bool:
-        return True
-
-    def write(self, content: Buffer, /) -> int:
-        data = bytes(content)
-        self._output.put(data)
-        return len(data)
-
-    def flush(self) -> None:
-        self._output.flush()
-
-    def close(self) -> None:
-        """Do nothing."""
 
 
 def open_missing_streams() -> None:

@@ -77,8 +77,6 @@ class BuildStage(PackageStage):
             plan = _plan_documents(self._session, name, self._options_of(name), force=self._force, renew=renew)
         except KeymintError as error:
             return PackagePlan(name, errors=self._in_policy(error.diagnostics, subject))
-        if not plan.diagnostics:
-            return plan
         return replace(plan, diagnostics=self._in_policy(plan.diagnostics, subject))
 
     def _options_of(self, name: str) -> BuildOptions:
@@ -235,8 +233,7 @@ def _key(session: Session, package: Package, *, renew: bool) -> tuple[tuple[Fold
     if not renew and session.tree.read(session.workspace.identity_key(package.name)) is not None:
         identities.public_key(session, package)
         return (), ""
-    new_key = identities.mint if renew else identities.restore_or_mint
-    change, fingerprint = new_key(session, package)
+    change, fingerprint = identities.restore_or_mint(session, package, renew=renew)
     return (change,), fingerprint
 
 

@@ -117,28 +117,26 @@ def _require_plain(inputs: Inputs, package: Package, pem: bytes = b"") -> None:
     raise KeymintError(message, where=where, help=help_, code="identity-encrypted")
 
 
-def mint(inputs: Inputs, package: Package) -> tuple[FolderChange, str]:
-    """Plan a new key for a package; returns the change, and the key's fingerprint.
+def restore_or_mint(session: Session, package: Package, *, renew: bool) -> tuple[FolderChange, str]:
+    """Plan the key of a package: the one in its enclave, or a new one if it never had any.
 
-    Raises:
-        KeymintError: the sources ask for an encrypted one.
-    """
-    _require_plain(inputs, package)
-    key = keys.generate(package.identity.key, package.identity.origin)
-    pem = keys.to_pem(key)
-    return secret_file(inputs.workspace.identity_key(package.name), pem), keys.fingerprint(key)
+    Args:
+        session: the workspace and its profile.
+        package: the package, which has no key in the workspace, or is to get another one.
+        renew: it is to get a new one.
 
-
-def restore_or_mint(session: Session, package: Package) -> tuple[FolderChange, str]:
-    """Plan the key of a package that has none: the one in its enclave, or a new one if it never had any.
+    Returns:
+        The change, and the key's fingerprint.
 
     Raises:
         KeymintError: it had a key, which is no longer in its enclave; or the sources ask for an encrypted one.
     """
     _require_plain(session, package)
-    known = known_fingerprint(session, package.name)
+    path = session.workspace.identity_key(package.name)
+    known = "" if renew else known_fingerprint(session, package.name)
     if not known:
-        return mint(session, package)
+        key = keys.generate(package.identity.key, package.identity.origin)
+        return secret_file(path, keys.to_pem(key)), keys.fingerprint(key)
     pem = session.tree.try_read(session.enclave(package.name) / KEY) or b""
     try:
         there = keys.fingerprint(keys.from_pem(pem)) if pem else ""
@@ -151,7 +149,7 @@ def restore_or_mint(session: Session, package: Package) -> tuple[FolderChange, s
             help=f"restore it from a backup, or mint a new one with {key_renewal(package.name)}",
             code="key-missing",
         )
-    return secret_file(session.workspace.identity_key(package.name), pem), there
+    return secret_file(path, pem), there
 
 
 # -- the certificate, and signatures --------------------------------------------------------------------------------
