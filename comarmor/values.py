@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import sys
 from collections.abc import Callable
+from functools import partial
 from operator import attrgetter
 from types import MemberDescriptorType
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -18,20 +19,9 @@ if TYPE_CHECKING:
     from dataclasses import dataclass
 else:
 
-    def dataclass(
-        cls: type | None = None,
-        /,
-        *,
-        frozen: bool = False,
-        slots: bool = False,
-        eq: bool = True,
-        order: bool = False,
-    ) -> Any:
-        """Return a class as a dataclass; the options are those of :func:`dataclasses.dataclass`."""
-
-        def make(given: type) -> type:
-            return _made(given, frozen=frozen, slots=slots, eq=eq, order=order)
-
+    def dataclass(cls: type | None = None, /, **options: bool) -> Any:
+        """Return a class as a dataclass; the options of :func:`_made` are those of :func:`dataclasses.dataclass`."""
+        make = partial(_made, **options)
         return make if cls is None else make(cls)
 
 
@@ -40,7 +30,7 @@ _FEW = 50
 """Objects of a class that are made before its ``__init__`` is generated."""
 
 
-def _made(given: type, *, frozen: bool, slots: bool, eq: bool, order: bool) -> Any:
+def _made(given: type, *, frozen: bool = False, slots: bool = False, eq: bool = True, order: bool = False) -> Any:
     if not given.__doc__:  # or the library inspects the signature to make one
         given.__doc__ = given.__name__
     cls: Any = dataclasses.dataclass(init=False, repr=False, eq=False, slots=slots)(given)

@@ -76,7 +76,16 @@ def load_tree(
     reader = _PolicyReader(folder, fallback, limits, packages, form)
     if path.is_dir():
         reader.seen[Path(folder.shown)] = _names_fingerprint(roots)
-    return reader.result(tuple(reader.root(name) for name in roots))
+    documents: list[PolicyFile] = []
+    nodes = inclusions = 0
+    for name in roots:
+        where = Origin(folder.name(name))
+        document = reader.document(folder, name, where, ())
+        documents.append(document)
+        nodes += document.nodes
+        inclusions += document.inclusions
+        reader.bound(nodes, inclusions, where)
+    return reader.result(tuple(documents))
 
 
 def read_document(
@@ -166,22 +175,11 @@ class _PolicyReader:
     included: dict[tuple[SandboxedFolder, str, str], tuple[PolicyFile, int]] = field(default_factory=dict)
     open: list[Path] = field(default_factory=list)
     total: int = 0
-    nodes: int = 0
-    inclusions: int = 0
     renamed: int = 0
 
     def result(self, roots: tuple[PolicyFile, ...]) -> PolicyFiles:
         """Return what was read for some root documents."""
         return PolicyFiles(roots, MappingProxyType(self.seen), tuple(self.shipped.values()))
-
-    def root(self, relative: str) -> PolicyFile:
-        """Read a root file of the policy."""
-        where = Origin(self.folder.name(relative))
-        document = self.document(self.folder, relative, where, ())
-        self.nodes += document.nodes
-        self.inclusions += document.inclusions
-        self.bound(self.nodes, self.inclusions, where)
-        return document
 
     def document(self, folder: SandboxedFolder, relative: str, where: Origin, chain: tuple[Origin, ...]) -> PolicyFile:
         """Read a file and its includes.

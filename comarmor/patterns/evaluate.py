@@ -72,10 +72,6 @@ class Evaluator:
             return self._permitted.union(filter(self.permits, words - self.literals.keys()))
         return self._permitted
 
-    def denies(self, pattern: Glob, before: int) -> bool:
-        """Return whether one of its patterns provably denies all that a pattern matches, before a block."""
-        return any(self.denied.get(wider, before) < before for wider in _wider(pattern))
-
     @cached_property
     def allowed(self) -> dict[Glob, int]:
         """Patterns with wildcards that no earlier block denies, with the first block that allows each."""
@@ -194,7 +190,8 @@ def _implies(inner: Evaluator, outer: Evaluator) -> bool:
             if all(disjoint(denial, pattern) for denial in extra[key]):
                 break
         else:
-            if not (inner.denies(pattern, block) or is_empty(pattern)):
+            is_denied = any(inner.denied.get(wider, block) < block for wider in _wider(pattern))
+            if not (is_denied or is_empty(pattern)):
                 return False
     return True
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from enum import Enum, auto
+from itertools import chain
 
 from comarmor.errors import ComArmorError
 from comarmor.regex import lazy_regex
@@ -184,13 +185,9 @@ class Bracket:
 
     def charset(self) -> Charset:
         """Return the characters that it matches."""
-        ranges: list[tuple[int, int]] = []
-        for member in self.members:
-            if isinstance(member, str):
-                ranges.extend(CLASSES[member])
-            else:
-                ranges.append((ord(member[0]), ord(member[1])))
-        members = charset(ranges)
+        classes = (CLASSES[member] for member in self.members if isinstance(member, str))
+        ranges = ((ord(member[0]), ord(member[1])) for member in self.members if not isinstance(member, str))
+        members = charset(chain(ranges, *classes))
         return members.complement() if self.negated else members
 
 

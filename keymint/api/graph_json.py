@@ -270,16 +270,15 @@ def _inside(decoder: json.JSONDecoder, text: str, at: int) -> Iterator[tuple[str
         name: str | int = number
         if opening == "{":
             name, at = decoder.raw_decode(text, at)
-            at = _skip(text, _skip(text, at) + 1)
+            at = _skip(text, at)
         yield name, at
         _, at = decoder.raw_decode(text, at)
         at = _skip(text, at)
-        if text[at] == ",":
-            at = _skip(text, at + 1)
         number += 1
 
 
 def _skip(text: str, at: int) -> int:
-    while text[at] in " \t\r\n":
+    """Return the position of the next value, or of the end of an array or object."""
+    while text[at] in " \t\r\n,:":
         at += 1
     return at

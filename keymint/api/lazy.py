@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from functools import cache, partial
 from importlib import import_module
 from typing import Any
 
@@ -15,9 +14,8 @@ def lazy(target: str) -> Any:
         target: ``module:function``.
     """
     module, _, name = target.partition(":")
-    imported = cache(partial(import_module, module))
 
     def call(*arguments: Any, **options: Any) -> Any:
-        return getattr(imported(), name)(*arguments, **options)
+        return getattr(import_module(module), name)(*arguments, **options)
 
     return staticmethod(call)

@@ -324,7 +324,7 @@ class Plugins:
             ) from error
         version, base = getattr(plugin, "API", None), GROUPS[group]
         defect = ""
-        if not isinstance(version, str) or _major(version) != _major(API_VERSION):
+        if not isinstance(version, str) or version.partition(".")[0] != API_VERSION.partition(".")[0]:
             defect = f"implements version {version!r} of the plugin interface, this Keymint needs {API_VERSION!r}"
         elif not isinstance(plugin, base):
             defect = f"is no {base.__name__} of keymint.api"
@@ -337,7 +337,3 @@ class Plugins:
                 code="plugin-version",
             )
         return plugin
-
-
-def _major(version: str) -> str:
-    return version.split(".", maxsplit=1)[0]

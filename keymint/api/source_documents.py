@@ -47,10 +47,11 @@ class Reader(Generic[_T]):
     """
 
     def __init__(self, owner: str, schema_name: str, convert: Callable[[etree._Element], _T]) -> None:
-        self._owner = owner
-        self._schema = schema_name
-        self._convert = convert
-        self._cached = lru_cache(maxsize=_CACHE_SIZE)(self._read)
+        @lru_cache(maxsize=_CACHE_SIZE)
+        def read(content: bytes) -> _T:
+            return convert(parse(content, _NAMELESS, owner, schema_name))
+
+        self._read = read
 
     def __call__(self, content: bytes, name: str) -> _T:
         """Return the data of a document.
@@ -63,12 +64,9 @@ class Reader(Generic[_T]):
             KeymintError: the document is not well-formed or not valid, with ``file:line`` of each defect.
         """
         try:
-            return self._cached(content)
+            return self._read(content)
         except KeymintError as error:
             raise KeymintError.of(_named(diagnostic, name) for diagnostic in error.diagnostics) from None
-
-    def _read(self, content: bytes) -> _T:
-        return self._convert(parse(content, _NAMELESS, self._owner, self._schema))
 
 
 def parse(content: bytes, name: str, owner: str, schema_name: str) -> etree._Element:
