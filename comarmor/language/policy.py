@@ -42,13 +42,20 @@ class Ruling:
 
 
 class Row(ABC):
-    """The rules of a subject that concern one permission."""
+    """The rules of a subject that concern one permission.
 
-    __slots__ = ("kind", "permission")
+    Attributes:
+        kind: kind of the objects.
+        permission: the permission.
+        parts: the rows of the parts of a composite permission, each with what follows the object's name.
+    """
 
-    def __init__(self, kind: str, permission: str) -> None:
+    __slots__ = ("kind", "parts", "permission")
+
+    def __init__(self, kind: str, permission: str, parts: Sequence[tuple[Row, str]] = ()) -> None:
         self.kind = kind
         self.permission = permission
+        self.parts = parts
 
     @abstractmethod
     def ruling(self, name: str, partitions: Sequence[str] = ()) -> Ruling:
@@ -68,13 +75,8 @@ class Row(ABC):
         """Decide about an object, and return the request with the decision; arguments as of :meth:`ruling`."""
         ruling = self.ruling(name, partitions)
         effect, rules, reason = ruling.effect, ruling.rules, ruling.reason
-        parts = self.parts(name, partitions)
+        parts = tuple(row.decision(name + suffix, partitions) for row, suffix in self.parts)
         return Decision(self.kind, self.permission, name, tuple(partitions), effect, rules, reason, parts)
-
-    def parts(self, name: str, partitions: Sequence[str]) -> tuple[Decision, ...]:
-        """Return the decisions on the parts of a composite permission."""
-        del name, partitions
-        return ()
 
 
 class _ElementaryRow(Row):
@@ -150,15 +152,11 @@ class _ElementaryRow(Row):
 class _CompositeRow(Row):
     """The rules that concern the parts of a composite permission; all parts must be allowed."""
 
-    __slots__ = ("_parts",)
-
-    def __init__(self, kind: str, permission: str, parts: Sequence[tuple[Row, str]]) -> None:
-        super().__init__(kind, permission)
-        self._parts = parts
+    __slots__ = ()
 
     def ruling(self, name: str, partitions: Sequence[str] = ()) -> Ruling:
         rules: dict[Rule, None] = {}
-        for row, suffix in self._parts:
+        for row, suffix in self.parts:
             ruling = row.ruling(name + suffix, partitions)
             if ruling.effect is Effect.DENY:
                 part = f"a part of it, {row.permission} {quote(name + suffix)}, is denied: "
@@ -168,11 +166,8 @@ class _CompositeRow(Row):
 
     def allowed(self, names: Iterable[str]) -> bytes:
         listed = list(names)
-        parts = [row.allowed(name + suffix for name in listed) for row, suffix in self._parts]
+        parts = [row.allowed(name + suffix for name in listed) for row, suffix in self.parts]
         return bytes(map(all, zip(*parts, strict=True)))
-
-    def parts(self, name: str, partitions: Sequence[str]) -> tuple[Decision, ...]:
-        return tuple(row.decision(name + suffix, partitions) for row, suffix in self._parts)
 
 
 _MOST_CACHED = 4096

@@ -13,8 +13,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import field, replace
-from functools import cache
+from dataclasses import replace
+from functools import cache, partial
 from itertools import chain
 
 from comarmor.patterns import evaluate
@@ -156,7 +156,6 @@ class ProductSearch:
     universe: Universe
     derivatives: Derivatives
     count_state: Callable[[], None]
-    _after: dict[tuple[Residual, str], Residual] = field(init=False, default_factory=dict)
 
     def shortest(self) -> str | None:
         """Return the shortest word, or None when both sides are equal.
@@ -171,6 +170,7 @@ class ProductSearch:
             self._residual(self.other),
             frozenset(self.derivatives.node((text,) if text else ()) for text in apart),
         )
+        residual_after = cache(partial(_residual_after, self.derivatives))
         level: list[tuple[_State, str]] = [(start, "")]
         seen = {start}
         length = 0
@@ -183,7 +183,7 @@ class ProductSearch:
                 nodes = _nodes(state)
                 for letter in self.derivatives.letters_to_try(nodes):
                     spend(1 + len(nodes) // 4)
-                    after = self._step(state, letter)
+                    after = self._step(state, letter, residual_after)
                     if after is not None and after not in seen:
                         self.count_state()
                         seen.add(after)
@@ -216,26 +216,17 @@ class ProductSearch:
         )
         return _reduced(blocks, self.derivatives.everything)
 
-    def _step(self, state: _State, letter: str) -> _State | None:
+    def _step(self, state: _State, letter: str, after: Callable[[Residual, str], Residual]) -> _State | None:
         """Return the state after a letter; None if no word of the universe, or no difference, follows."""
         place, together, other, apart = state
         inside = self.derivatives.step(place, letter)
         if not inside:
             return None
-        left = tuple(self._stepped(residual, letter) for residual in together)
-        right = self._stepped(other, letter)
+        left = tuple(after(residual, letter) for residual in together)
+        right = after(other, letter)
         if all(residual == right for residual in left):
             return None
         return inside[0], left, right, self.derivatives.steps(apart, letter)
-
-    def _stepped(self, residual: Residual, letter: str) -> Residual:
-        key = (residual, letter)
-        rest = self._after.get(key)
-        if rest is None:
-            derivatives = self.derivatives
-            blocks = ((allows, derivatives.steps(nodes, letter)) for allows, nodes in residual)
-            rest = self._after[key] = _reduced(blocks, derivatives.everything)
-        return rest
 
     def _differs(self, state: _State) -> bool:
         place, together, other, apart = state
@@ -247,6 +238,11 @@ class ProductSearch:
     def _permits(self, residual: Residual) -> bool:
         accepts = self.derivatives.accepts
         return next((allows for allows, nodes in residual if any(accepts[node] for node in nodes)), False)
+
+
+def _residual_after(derivatives: Derivatives, residual: Residual, letter: str) -> Residual:
+    """Return the rest of a list after a letter."""
+    return _reduced(((allows, derivatives.steps(nodes, letter)) for allows, nodes in residual), derivatives.everything)
 
 
 def _nodes(state: _State) -> list[int]:
