@@ -82,7 +82,7 @@ class Row(ABC):
 class _ElementaryRow(Row):
     """The rules that concern a permission without parts, also as a part of one of theirs."""
 
-    __slots__ = ("_beginnings", "_exact", "_permitted", "_rules", "_rulings", "_wild")
+    __slots__ = ("_beginnings", "_exact", "_rules", "_rulings", "_wild")
 
     def __init__(self, rules: Sequence[Rule], kind: str, permission: str) -> None:
         super().__init__(kind, permission)
@@ -100,7 +100,6 @@ class _ElementaryRow(Row):
         self._exact = {name: tuple(sorted(positions)) for name, positions in exact.items()}
         self._beginnings = tuple({literal_prefix(expression) for _, expression, _ in self._wild})
         self._rulings: dict[tuple[int, ...], Ruling] = {}
-        self._permitted: dict[tuple[int, ...], bool] = {}
 
     def _matching(self, name: str) -> tuple[int, ...]:
         """Return the positions of the rules that match a name."""
@@ -121,16 +120,11 @@ class _ElementaryRow(Row):
         ruling = self._rulings.get(found)
         if ruling is None:
             ruling = self._rulings[found] = self._ruled([self._rules[at] for at in found], ("",))
-            self._permitted[found] = ruling.effect is Effect.ALLOW
         return ruling
 
     def allowed(self, names: Iterable[str]) -> bytes:
-        permitted, matching = self._permitted, self._matching
-        labels = bytearray()
-        for name in names:
-            allowed = permitted.get(matching(name))
-            labels.append(self.ruling(name).effect is Effect.ALLOW if allowed is None else allowed)
-        return bytes(labels)
+        rulings, matching, allow = self._rulings, self._matching, Effect.ALLOW
+        return bytes([(rulings.get(matching(name)) or self.ruling(name)).effect is allow for name in names])
 
     @staticmethod
     def _ruled(matching: Sequence[Rule], partitions: Iterable[str]) -> Ruling:

@@ -102,9 +102,7 @@ class Derivatives:
 
     def letters_to_try(self, nodes: Iterable[int]) -> list[str]:
         """Return letters such that every other letter has the same derivatives of these nodes as one of them."""
-        explicit: set[str] = set()
-        for node in nodes:
-            explicit |= self._explicit[node]
+        explicit: set[str] = set().union(*[self._explicit[node] for node in nodes])
         other = next((letter for letter in self.letters if letter not in explicit), None)
         ranked = sorted(explicit, key=self._ranks.__getitem__)
         # A letter that no pattern names leaves the fewest excluded positions: such states subsume more of the others.

@@ -126,10 +126,6 @@ def left_quotient(glob: Glob, start: str) -> tuple[Glob, ...]:
     Their union matches exactly the names ``n`` for which the pattern matches ``start + n`` (V. Antimirov, "Partial
     derivatives of regular expressions", 1996).
     """
-    text = literal(glob)
-    if text is not None:
-        rest = text[len(start) :]
-        return ((rest,) if rest else (),) if text.startswith(start) else ()
     head = prefix(glob)
     if head.startswith(start):
         return (normalise((head.removeprefix(start), *glob[1:])) if start else glob,)
@@ -146,10 +142,6 @@ def right_quotient(glob: Glob, end: str) -> tuple[Glob, ...]:
     """Return patterns of the names ``n`` for which a pattern matches ``n + end``: :func:`left_quotient` backwards."""
     if not end:
         return (glob,)
-    text = literal(glob)
-    if text is not None:
-        left = text.removesuffix(end)
-        return () if left == text else ((left,) if left else (),)
     tail = suffix(glob)
     if tail.endswith(end):
         return (normalise((*glob[:-1], tail.removesuffix(end))),)

@@ -19,7 +19,7 @@ from pathlib import Path
 from comarmor.errors import ComArmorError, Origin
 from comarmor.language.attachments import strip
 from comarmor.text import did_you_mean, quote
-from comarmor.xml.sandboxed_paths import path_text, read_bounded, read_failure
+from comarmor.xml.sandboxed_paths import file_errors, path_text, read_bounded
 from keymint_ros2_table import rows
 
 NAME = "rule"
@@ -188,7 +188,7 @@ def read(path: Path) -> tuple[Iterator[rows.TableRow | ComArmorError], Mapping[P
         ComArmorError: it is missing, too large, or being written to.
     """
     file = path_text(str(path))
-    try:
+    with file_errors("the table", Origin(file), "policy-missing"):
         real = path.resolve(strict=True)
         if real.is_dir():
             raise ComArmorError(
@@ -197,8 +197,6 @@ def read(path: Path) -> tuple[Iterator[rows.TableRow | ComArmorError], Mapping[P
             )  # fmt: skip
         before = real.stat()
         content = read_bounded(real.parent, real, _MOST_SQLITE + 1)
-    except (OSError, RuntimeError, ValueError) as error:
-        raise ComArmorError(read_failure(error, "the table"), where=Origin(file), code="policy-missing") from None
     seen = {path: hashlib.sha256(content).digest()}
     is_database = content.startswith(MAGIC)
     most = _MOST_SQLITE if is_database else _MOST_CSV
@@ -236,17 +234,12 @@ def _require_none(beside: Path, file: str) -> bytes:
     Raises:
         ComArmorError: it has changes.
     """
-    try:
+    with file_errors("the file", Origin(f"{file}{beside.suffix}")), contextlib.suppress(FileNotFoundError):
         content = read_bounded(beside.parent, beside, _MOST_SQLITE)
-    except FileNotFoundError:
-        return b""
-    except OSError as error:
-        raise ComArmorError(
-            read_failure(error, "the file"), where=Origin(f"{file}{beside.suffix}"), code="unreadable"
-        ) from None
-    if content and not (beside.name.endswith(_JOURNAL) and content.startswith(_INACTIVE)):
-        raise _in_use(file, f"has changes in {beside.name} that are not in it yet, or that must be undone")
-    return hashlib.sha256(content).digest()
+        if content and not (beside.name.endswith(_JOURNAL) and content.startswith(_INACTIVE)):
+            raise _in_use(file, f"has changes in {beside.name} that are not in it yet, or that must be undone")
+        return hashlib.sha256(content).digest()
+    return b""
 
 
 def _in_use(file: str, message: str) -> ComArmorError:
