@@ -35,9 +35,7 @@ def build(package: Package, options: BuildOptions) -> BuildResult:
         emitted = foreign_documents.kept_permissions(package) or emit_by_kind(package, options)
         notes += emitted.diagnostics
     with defects:
-        governance, remarks = governance_document.build(
-            settings_of(package), package.subject, package.distro, allow_vendor_specific=lenient
-        )
+        governance, remarks = governance_document.build(package, allow_vendor_specific=lenient)
         governance = foreign_documents.kept_governance(package, governance)
         notes += (*remarks, *governance_warnings.findings(package, emitted.lowered if emitted else None))
     defects.found += [item for item in checks if item.severity is Severity.ERROR]
@@ -58,10 +56,8 @@ def _check(package: Package) -> Iterator[Diagnostic]:
     validity = validity_of(granted)
     identity = package.identity
     names = {granted.subject_name: granted.origin, identity.subject_name: identity.origin}
-    if (
-        len(names) > 1
-        and len({distinguished_names.to_text(distinguished_names.parse(*each)) for each in names.items()}) > 1
-    ):
+    parsed = (distinguished_names.parse(*each) for each in names.items())
+    if len(names) > 1 and len(set(map(distinguished_names.to_text, parsed))) > 1:
         message = f"the permissions are for {granted.subject_name!r}, but the identity is {identity.subject_name!r}"
         help_ = "give both the same subject_name"
         yield Diagnostic.error("subject-mismatch", message, granted.origin, help_, package.subject)

@@ -67,11 +67,8 @@ def unsafe(allow: Iterable[Step]) -> Iterator[tuple[Glob, str]]:
             glob = globs.parse(expression)
             text = literal(glob)
             if text is None and not (glob.count(STAR) == 1 and all(isinstance(each, str | Star) for each in glob)):
-                reason = (
-                    "is neither a name nor one with a single '*', and vendors compare an endpoint's own wildcard with "
-                    "it as text"
-                )
-                yield pattern, f"the partition {expression!r} {reason}"
+                why = "vendors compare an endpoint's own wildcard with it as text"
+                yield pattern, f"the partition {expression!r} is neither a name nor one with a single '*', and {why}"
             elif any(_misread(part) for part in glob if isinstance(part, str)):
                 yield pattern, f"the partition {expression!r} has characters that vendors read differently"
 
@@ -176,9 +173,9 @@ def _united(wild: Iterable[Step], denials: Sequence[Glob]) -> dict[Glob, Partiti
                 continue
             both = _reduced(frozenset((*first, *second)))
             for piece in _intersection(pattern, other):
-                if any(covers(denial, piece) for denial in denials) or any(
-                    _within(both, known) and covers(wider, piece) for wider, known in lists.items()
-                ):
+                if any(covers(denial, piece) for denial in denials):
+                    continue
+                if any(_within(both, known) and covers(wider, piece) for wider, known in lists.items()):
                     continue
                 lists[piece] = _reduced(frozenset((*lists.get(piece, ()), *both)))
                 todo.append(piece)

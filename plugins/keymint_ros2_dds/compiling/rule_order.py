@@ -21,13 +21,12 @@ Three vendor behaviours shape it:
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
 from comarmor.patterns.glob import Glob, literal, sort_key
 from comarmor.patterns.relations import TooComplexError, all_disjoint, disjoint, intersection, union_covers
 from comarmor.rules import Effect
 from comarmor.values import dataclass
-from keymint.ir import Rule
 from keymint.keymake.order import Arrangement, arrange, early_rules
 from keymint_ros2_dds.compiling.partitions import Step, UnportableError, decision_list, partitions_left, uniform
 from keymint_ros2_dds.lowering.lowered_rules import DEFAULT, EVERY, GrantRule, Lowered, Partitions, with_leading_allow
@@ -52,7 +51,7 @@ class RuleGroup:
 
 
 def rule_groups(
-    action: TopicAction, allow: Sequence[Step], deny: Sequence[Step], *, reduced: bool = True
+    action: TopicAction, allow: Collection[Step], deny: Collection[Step], *, reduced: bool = True
 ) -> list[RuleGroup]:
     """Return the rules of an action in groups that share no name.
 
@@ -182,10 +181,7 @@ def portable_rules(lowered: Lowered, *, reduced: bool = True) -> tuple[GrantRule
         UnportableError: Cyclone DDS and the standard would disagree on every order, or the partitions cannot be
             expressed portably across DDS vendors.
     """
-    groups = {
-        action: rule_groups(action, tuple(lowered.allow[action]), tuple(lowered.deny[action]), reduced=reduced)
-        for action in TopicAction
-    }
+    groups = {each: rule_groups(each, lowered.allow[each], lowered.deny[each], reduced=reduced) for each in TopicAction}
     relay = groups.pop(TopicAction.RELAY)
     relay_rules = [*(rule for group in relay for rule in group.free), *(r for group in relay for r in group.ordered)]
     return with_leading_allow([*_both_directions(groups), *merged_rules(relay_rules)])
@@ -296,9 +292,8 @@ def rule_per_policy_rule(rules: Iterable[GrantRule[Glob]], lowered: Lowered) -> 
 
     The parts of a rule have the same effect and partitions, so splitting changes no decision.
     """
-    owners: dict[tuple[Effect, TopicAction, Glob], Rule] = {}
-    for effect, action, pattern, policy_rule in lowered.patterns():
-        owners.setdefault((effect, action, pattern), policy_rule)
+    of_policy = reversed([*lowered.patterns()])  # the first rule that has a pattern counts
+    owners = {(effect, action, pattern): policy_rule for effect, action, pattern, policy_rule in of_policy}
     result: list[GrantRule[Glob]] = []
     for rule in rules:
         parts: dict[int, dict[TopicAction, list[Glob]]] = {}

@@ -165,9 +165,8 @@ class DocumentEvaluator:
             if not step.topics.match(name):
                 continue
             if self._matches(step, names, tags):
-                return self._by(
-                    step, f"{'allows' if step.allows else 'denies'} {action} {topic!r}", allowed=step.allows
-                )
+                verb = "allows" if step.allows else "denies"
+                return self._by(step, f"{verb} {action} {topic!r}", allowed=step.allows)
             if self.semantics.first_topic_decides:
                 return self._by(step, f"names {topic!r}, but not in these partitions", allowed=False)
         return self._by_default(topic)

@@ -15,13 +15,14 @@ from comarmor.patterns.expression import exact
 from comarmor.patterns.glob import EVERYTHING, Glob
 from comarmor.patterns.relations import covers, union_covers
 from comarmor.regex import lazy_regex
+from keymint.api import Package
 from keymint.errors import KeymintError
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.domains import check_domains
 from keymint_ros2_dds.enclave_layout import GOVERNANCE
 from keymint_ros2_dds.lowering.name_mapping import ARDENT, dds_patterns, needed_topics, parse_expression
 from keymint_ros2_dds.lowering.portable_expressions import NotPortableError, portable_expressions
-from keymint_ros2_dds.settings import STRICT_DOMAIN, STRICT_TOPIC, DdsSettings, DomainRule, TopicProtection
+from keymint_ros2_dds.settings import STRICT_DOMAIN, STRICT_TOPIC, DdsSettings, DomainRule, TopicProtection, settings_of
 
 _ODD = lazy_regex(r"[^A-Za-z0-9_/*?\[\]!^\\-]|//|(?<=.)/$")
 """Characters and slashes that no ROS name has; expression syntax aside (ROS 2 design, "Topic and Service Names")."""
@@ -35,25 +36,22 @@ _PERMISSIONS = {
 """A permission of each kind that maps to all of its DDS topics: both sides of a ROS entity use the same ones."""
 
 
-def build(
-    governance: DdsSettings, subject: str, distro: str, *, allow_vendor_specific: bool
-) -> tuple[bytes, tuple[Diagnostic, ...]]:
+def build(package: Package, *, allow_vendor_specific: bool) -> tuple[bytes, tuple[Diagnostic, ...]]:
     """Return the governance document, valid against its schema, with warnings and notes.
 
     Args:
-        governance: the governance of a package.
-        subject: the subject of the package.
-        distro: ROS 2 distribution whose name mapping applies. A governance document has no partitions, so for Ardent a
-            rule applies to a base name in every namespace.
+        package: a package with a governance. The document has no partitions, so for Ardent a rule on ROS names applies
+            to a base name in every namespace.
         allow_vendor_specific: where vendors differ, follow the standard and warn.
 
     Raises:
         KeymintError: a rule cannot be expressed portably; each with its place.
     """
-    if content := _without_findings(governance, distro, allow_vendor_specific):
+    governance = settings_of(package)
+    if content := _without_findings(governance, package.distro, allow_vendor_specific):
         return content, ()
-    content, diagnostics = _compile(governance, distro, allow_vendor_specific)
-    diagnostics = tuple(replace(item, subject=subject) for item in diagnostics)
+    content, diagnostics = _compile(governance, package.distro, allow_vendor_specific)
+    diagnostics = tuple(replace(item, subject=package.subject) for item in diagnostics)
     if errors := [item for item in diagnostics if item.severity is Severity.ERROR]:
         raise KeymintError.of(errors)
     return content, diagnostics

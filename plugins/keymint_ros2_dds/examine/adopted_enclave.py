@@ -130,17 +130,14 @@ class _Enclave(EnclaveRules):
         try:
             package_name(self._subject or "/x")
         except KeymintError as error:
-            message = error.diagnostics[0].message
-            yield Diagnostic.error(
-                "adopt-path", message, self._contents.place(self._folder), "give the enclave another path"
-            )
+            message, where = error.diagnostics[0].message, self._contents.place(self._folder)
+            yield Diagnostic.error("adopt-path", message, where, "give the enclave another path")
         if self.certificate is not None:
             yield from self._common_name(to_text(self.certificate.subject))
         if layout.KEY not in self._files:
             message = "is not here: the enclave is taken over without it, and gets no other one"
-            yield Diagnostic.note(
-                "adopt-key-elsewhere", message, self._where(layout.KEY), "nothing, if the robot has it"
-            )
+            where = self._where(layout.KEY)
+            yield Diagnostic.note("adopt-key-elsewhere", message, where, "nothing, if the robot has it")
         elif self._key_state() != "unknown":
             yield from exposure(self._contents, self._enclave.files[layout.KEY], self._subject)
         if grant := self._only_grant():
@@ -169,9 +166,8 @@ class _Enclave(EnclaveRules):
     def _of_grant(self, grant: DocumentGrant) -> Iterator[Diagnostic]:
         if grant.rules and not self._domains():
             message = "has rules for different domains, and a package has the same domains in all of its rules"
-            yield self._error(
-                "adopt-domains", layout.PERMISSIONS_P7S, message, "sign a document whose rules have the same"
-            )
+            help_ = "sign a document whose rules have the same"
+            yield self._error("adopt-domains", layout.PERMISSIONS_P7S, message, help_)
         allowed = {
             (criteria.action, topic)
             for rule in grant.rules

@@ -250,9 +250,8 @@ class EnclaveRules(IdentityCheck):
     def plain_text(self, signed: bytes | None) -> Iterator[Diagnostic]:
         """Yield an error if the unsigned permissions are others than those that participants read."""
         if self._files.get(layout.PERMISSIONS_XML, signed) != signed:
-            yield self._error(
-                "document-differs", layout.PERMISSIONS_XML, "is not the document that permissions.p7s signs"
-            )
+            message = "is not the document that permissions.p7s signs"
+            yield self._error("document-differs", layout.PERMISSIONS_XML, message)
 
     def _in_slack(self, period: tuple[datetime, datetime], now: datetime) -> Iterator[Diagnostic]:
         """Yield a warning about dates of a grant that are in force here, but not in every time zone."""

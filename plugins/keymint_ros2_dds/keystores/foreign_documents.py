@@ -143,11 +143,8 @@ def governance_source(document: bytes, signer: str) -> bytes | None:
     dds_xml.settings(root, dict(zip(signed_governance.DOMAIN_PROTECTIONS, rule.protections, strict=True)))
     topics = dds_xml.child(root, "topic_access_rules")
     for topic in rule.topic_rules:
-        own: dict[str, str | bool] = {
-            **dict(zip(signed_governance.TOPIC_PROTECTIONS, topic.protections, strict=True)),
-            ACCESS["subscribe"]: topic.read_controlled,
-            ACCESS["publish"]: topic.write_controlled,
-        }
+        own: dict[str, str | bool] = {tag: topic.controls(action) for action, tag in ACCESS.items()}
+        own |= zip(signed_governance.TOPIC_PROTECTIONS, topic.protections, strict=True)
         dds_xml.topic_rule(topics, topic.expression, {name: own[name] for name in STRICT_TOPIC})
     etree.indent(root)
     return _HEAD + etree.tostring(root, encoding="unicode").encode() + b"\n"

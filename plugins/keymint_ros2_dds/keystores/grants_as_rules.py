@@ -217,11 +217,9 @@ def _unordered(steps: Sequence[_Step], *, named: bool) -> Iterator[_Step]:
             later = (each for each in steps[number:] if each.effect is Effect.ALLOW)
             is_covered = any(_covers(each, step, named=named) for each in before)
             if not is_covered and any(_overlap(each, step) for each in later):
-                what = (
-                    f"denies to {step.action} {quote(canonical(step.topic))}, but line {before[0].where.line} before it"
-                )
-                earlier = quote(canonical(before[0].topic))
-                message = f"{what} allows {earlier}; in a policy every DENY overrides every ALLOW"
+                first = before[0]
+                what = f"denies to {step.action} {quote(canonical(step.topic))}, but line {first.where.line} before it"
+                message = f"{what} allows {quote(canonical(first.topic))}; in a policy every DENY overrides every ALLOW"
                 raise _unsayable(message, step.where, "write out the names that are allowed")
             continue  # all of it is allowed before, or nothing that follows allows any of it
         yield step

@@ -32,24 +32,18 @@ from keymint_ros2_dds.reading.signed_permissions import DocumentCriteria, Docume
 _DEFAULT: Glob = ()
 
 
-def has_partitions(lowered: Lowered, grants: Iterable[DocumentGrant]) -> bool:
+def has_partitions(lowered: Lowered, grants: Sequence[DocumentGrant]) -> bool:
     """Tell whether policy or document may allow anything outside of the default partition."""
     by_policy = any(listed not in {(), ("",)} for side in lowered.allow.values() for _, listed in side)
     return by_policy or have_partitions(grants)
 
 
-def have_partitions(grants: Iterable[DocumentGrant]) -> bool:
+def have_partitions(grants: Sequence[DocumentGrant]) -> bool:
     """Tell whether grants may allow anything outside of the default partition."""
-    return any(
-        grant.allows  # by default, in every partition
-        or any(
-            criteria.partitions not in {None, ("",)}
-            for rule in grant.rules
-            if rule.allows
-            for criteria in rule.criteria
-        )
-        for grant in grants
-    )
+    if any(grant.allows for grant in grants):
+        return True  # by default, in every partition
+    allowing = (rule for grant in grants for rule in grant.rules if rule.allows)
+    return any(criteria.partitions not in {None, ("",)} for rule in allowing for criteria in rule.criteria)
 
 
 def of_policy(lowered: Lowered, action: str, *, pairs: bool) -> DecisionList:

@@ -7,7 +7,7 @@ topics count as under access control.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import product
 
 from comarmor.patterns.decision_lists import DecisionList, Unknown, Witness
@@ -75,29 +75,27 @@ class _Comparison:
         self._pairs = document_lists.has_partitions(question.lowered, grants)
         self._universe = octets.universe(pairs=self._pairs)
         self._reason = ""
-        self._known: dict[tuple[DecisionList, DecisionList], str | None] = {}
+        self._known: dict[tuple[DecisionList, DecisionList], Sequence[str]] = {}
 
     def result(self) -> DocumentComparison:
-        unread, by_locale = octets.locale_dependence(
-            self._question.document, [era.grant for era in self._eras], self._question.task.rules, _SEMANTICS
-        )
+        question, grants = self._question, [era.grant for era in self._eras]
+        unread, by_locale = octets.locale_dependence(question.document, grants, question.task.rules, _SEMANTICS)
         if unread:
             return DocumentComparison(Relation.UNKNOWN, reason=unread)
-        missing: _Found | None = None
-        excess: _Found | None = None
+        missing, excess = list[_Found](), list[_Found]()
         try:
             for situation in self._situations():
                 action, era, pairs = situation.action, situation.era, self._pairs
                 policy, permitted = NOTHING, NOTHING
                 if situation.inside:
-                    policy = document_lists.of_policy(self._question.lowered, action, pairs=pairs)
+                    policy = document_lists.of_policy(question.lowered, action, pairs=pairs)
                 if era is not None:
                     domain = situation.domain
                     (permitted,) = document_lists.of_grant(era.grant, domain, action, _SEMANTICS, pairs=pairs)
-                missing = self._shorter(missing, situation, policy, permitted)
-                excess = self._shorter(excess, situation, permitted, policy)
+                missing += ((word, situation) for word in self._only(policy, permitted))
+                excess += ((word, situation) for word in self._only(permitted, policy))
         except PatternError as error:
-            return DocumentComparison(Relation.UNKNOWN, reason=f"{self._question.document.file}: {error}")
+            return DocumentComparison(Relation.UNKNOWN, reason=f"{question.document.file}: {error}")
         lacks, exceeds = self._example(missing, permitted=False), self._example(excess, permitted=True)
         reason = self._reason or by_locale
         if reason and not (lacks and exceeds):
@@ -117,23 +115,20 @@ class _Comparison:
                 for action, era in product(TopicAction, self._eras or (None,)):
                     yield Situation(action, domains.first, inside, era)
 
-    def _shorter(
-        self, best: _Found | None, situation: Situation, more: DecisionList, less: DecisionList
-    ) -> _Found | None:
-        """Return the shorter one of a name that was found before and one that only the first list permits here."""
+    def _only(self, more: DecisionList, less: DecisionList) -> Sequence[str]:
+        """Return a shortest name that only the first list permits; nothing if there is none, or it is not known."""
         if (more, less) not in self._known:
             found = escapes([more], less, self._universe, self._question.budget())
-            self._known[more, less] = found.word if isinstance(found, Witness) else None
+            self._known[more, less] = [found.word] if isinstance(found, Witness) else []
             if isinstance(found, Unknown):
                 self._reason = found.reason
-        word = self._known[more, less]
-        return best if word is None or (best and len(best[0]) <= len(word)) else (word, situation)
+        return self._known[more, less]
 
-    def _example(self, found: _Found | None, *, permitted: bool) -> Counterexample | None:
-        """Return a name with the decisions of the plain evaluators."""
-        if found is None:
+    def _example(self, found: Sequence[_Found], *, permitted: bool) -> Counterexample | None:
+        """Return a shortest name with the decisions of the plain evaluators."""
+        if not found:
             return None
-        word, situation = found
+        word, situation = min(found, key=lambda each: len(each[0]))
         examples = Counterexamples(self._question, OMG, "", self._eras, self._pairs)
         example, defect = examples.of(situation, word, permitted=permitted)
         self._reason = defect or self._reason

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Iterator, Sequence
-from functools import lru_cache, partial
+from functools import lru_cache
 from itertools import pairwise, product
 
-from comarmor.errors import Origin, Reason
+from comarmor.errors import Reason
 from comarmor.patterns.decision_lists import Block, DecisionList, SearchBudget, Unknown, Witness
 from comarmor.patterns.glob import EVERYTHING
 from comarmor.patterns.proofs import escapes
@@ -54,11 +54,8 @@ class EnclaveGovernance:
     def __init__(self, content: bytes, place: tuple[str, int], package: api.Package | None) -> None:
         built, self._accepted = b"", False
         if package is not None:
-            governance = settings_of(package)
-            built, _ = governance_document.build(
-                governance, package.subject, package.distro, allow_vendor_specific=True
-            )
-            self._accepted = governance.accepts_open
+            built, _ = governance_document.build(package, allow_vendor_specific=True)
+            self._accepted = settings_of(package).accepts_open
         self.document = signed_governance.read(content, *place)
         self.sources = signed_governance.read(built) if built else None
         self.differs = content != built
@@ -116,13 +113,9 @@ def _transparent(content: bytes, domains: tuple[api.DomainRange, ...]) -> bool:
     document = signed_governance.read(content)
     if document.quirks or unread_topic(document, STANDARD):
         return False
-    closed = all(
-        rule.join_controlled and not rule.unauthenticated and is_closed(rule, STANDARD)
-        for rule in document.domain_rules
-    )
-    exact = all(
-        item.last is not None and item.first is not None for rule in document.domain_rules for item in rule.domains
-    )
+    rules = document.domain_rules
+    closed = all(each.join_controlled and not each.unauthenticated and is_closed(each, STANDARD) for each in rules)
+    exact = all(None not in {each.first, each.last} for rule in rules for each in rule.domains)
     wanted = {domain for item in domains for domain in range(item.first, item.last + 1)}
     return closed and exact and all(document.rule(domain) is not None for domain in wanted)
 
@@ -200,45 +193,40 @@ def governance_claims(
     task: api.ComparisonTask, governance: EnclaveGovernance, variation: Variation
 ) -> Iterator[api.Claim]:
     """Yield the claims about domains that are refuted or unknown, as an implementation reads the governance."""
+    name, place = variation.name, governance.document.place
+
+    def refuted(each: api.DomainRange, action: str, topic: str, reason: str, line: int, help_: str) -> api.Claim:
+        universe, expected = _CLAIMED[action]
+        endpoint = api.Endpoint(task.rules.subject, action, topic, domain=each.first)
+        policy = api.PolicyDecision(allowed=False, where=None, reason=Reason((expected,)))
+        verdict = api.Verdict(allowed=True, reason=reason, where=place(line))
+        example = api.Counterexample(endpoint, None, policy, verdict, help_, place(line), expected)
+        return api.Claim(name, action, (each,), universe, api.Proof.COUNTEREXAMPLE, "", example)
+
     for domains in cuts(governance.domains()):
         first = domains.first
         rule = DomainAccess(governance.document, first, variation.semantics).rule
         if rule is None:
             continue
-        place, refuted = governance.document.place, partial(_refuted, task, variation, domains)
         own, accepted = governance.source_rule(first), governance.accepted_rule(first)
         where = f" domain {first}" if first else ""
         if not rule.join_controlled and (accepted is None or accepted.join_controlled):
             reason = f"{JOIN} is false: every identity of the authority may join{where}"
-            yield refuted("join", "", reason, place(rule.line_of(JOIN)), help_for(governance, first))
+            yield refuted(domains, "join", "", reason, rule.line_of(JOIN), help_for(governance, first))
         if rule.unauthenticated and (accepted is None or not accepted.unauthenticated):
             reason = f"{UNAUTHENTICATED} is true: participants without identity and permissions may join{where}"
-            yield refuted("join", "", reason, place(rule.line_of(UNAUTHENTICATED)), help_for(governance, first))
+            yield refuted(domains, "join", "", reason, rule.line_of(UNAUTHENTICATED), help_for(governance, first))
         if own is None or not governance.differs:
             continue
         for found in weaker(rule, own, variation.semantics, SearchBudget(task.states, task.go_on)):
             if isinstance(found, Unknown):
                 universe, _ = _CLAIMED["protect"]
-                yield api.Claim(
-                    variation.name, "protect", (domains,), universe, api.Proof.UNKNOWN, found.reason, spent=True
-                )
+                yield api.Claim(name, "protect", (domains,), universe, api.Proof.UNKNOWN, found.reason, spent=True)
             else:
                 scope = f"for the topic {found.topic!r}" if found.topic else f"in domain {first}"
                 reason = f"{found.tag} is {found.text} {scope}, but the sources require {found.required}"
                 help_ = "run 'keymint install' to sign the governance that the sources build"
-                yield refuted("protect", found.topic, reason, place(found.line), help_)
-
-
-def _refuted(
-    task: api.ComparisonTask, variation: Variation, domains: api.DomainRange,
-    action: str, topic: str, reason: str, where: Origin, help_: str,
-) -> api.Claim:  # fmt: skip
-    universe, expected = _CLAIMED[action]
-    endpoint = api.Endpoint(task.rules.subject, action, topic, domain=domains.first)
-    policy = api.PolicyDecision(allowed=False, where=None, reason=Reason((expected,)))
-    verdict = api.Verdict(allowed=True, reason=reason, where=where)
-    example = api.Counterexample(endpoint, None, policy, verdict, help_, where, expected)
-    return api.Claim(variation.name, action, (domains,), universe, api.Proof.COUNTEREXAMPLE, "", example)
+                yield refuted(domains, "protect", found.topic, reason, found.line, help_)
 
 
 _CONTROLLED = signed_governance.DocumentTopicRule(

@@ -152,17 +152,16 @@ class Counterexamples:
             permitted: the engine finds that the documents permit it.
         """
         task, governance = self.question.task, self.question.governance
-        action, domain, inside = situation.action, situation.domain, situation.inside
+        action, domain = situation.action, situation.domain
         pair = word.split(octets.SEPARATOR) if self.pairs else ("", word)
         partition, topic = map(octets.in_text, pair)
-        rules = task.rules if inside else SubjectRules(task.rules.subject, ())
-        edges = endpoint_edges(rules.subject, task.distro, action, topic, partition)
-        policy = _policy_decision(task.distro, rules, situation, topic, partition, permitted=permitted)
+        edges = endpoint_edges(task.rules.subject, task.distro, action, topic, partition)
+        policy = self._policy_decision(situation, topic, partition, permitted=permitted)
         verdict = self._verdict(situation, topic, partition, permitted=permitted)
         place, help_ = None, ""
         if governance is not None and verdict.where is not None and verdict.where.file == governance.document.file:
             place, help_ = verdict.where, enclave_governance.help_for(governance, domain)
-        endpoint = Endpoint(rules.subject, action, topic, edges[0].object.partitions, domain)
+        endpoint = Endpoint(task.rules.subject, action, topic, edges[0].object.partitions, domain)
         entity = next((edge for edge in edges[1:] if is_ros_name(edge.object.name)), None)
         example = Counterexample(endpoint, entity, policy, verdict, help_, place)
         agree = policy.allowed is not permitted and verdict.allowed is permitted
@@ -210,17 +209,16 @@ class Counterexamples:
         reason = f"the grant of {name!r} is never valid ({dates})"
         return Verdict(allowed=False, reason=reason, where=document.place(grant.line))
 
-
-def _policy_decision(
-    distro: str, rules: SubjectRules, situation: Situation, topic: str, partition: str, *, permitted: bool
-) -> PolicyDecision:
-    if situation.action == TopicAction.RELAY:  # the evaluator of policies knows no relay
-        verb = "allow" if situation.inside and not permitted else "do not allow"
-        return PolicyDecision(allowed=not permitted, where=None, reason=Reason((f"the rules {verb} it",)))
-    rule = deciding_rule(rules, distro, situation.action, topic, partition)
-    if rule is None:
-        reason = "no rule allows it" if situation.inside else "not its domain"
-        return PolicyDecision(allowed=False, where=None, reason=Reason((reason,)))
-    allowed = rule.effect is Effect.ALLOW
-    verb = "allows" if allowed else "denies"
-    return PolicyDecision(allowed, rule.origin, Reason((f"the {rule.kind} rule {verb} it",)), rule.audit)
+    def _policy_decision(self, situation: Situation, topic: str, partition: str, *, permitted: bool) -> PolicyDecision:
+        if situation.action == TopicAction.RELAY:  # the evaluator of policies knows no relay
+            verb = "allow" if situation.inside and not permitted else "do not allow"
+            return PolicyDecision(allowed=not permitted, where=None, reason=Reason((f"the rules {verb} it",)))
+        if not situation.inside:
+            return PolicyDecision(allowed=False, where=None, reason=Reason(("not its domain",)))
+        task = self.question.task
+        rule = deciding_rule(task.rules, task.distro, situation.action, topic, partition)
+        if rule is None:
+            return PolicyDecision(allowed=False, where=None, reason=Reason(("no rule allows it",)))
+        allowed = rule.effect is Effect.ALLOW
+        verb = "allows" if allowed else "denies"
+        return PolicyDecision(allowed, rule.origin, Reason((f"the {rule.kind} rule {verb} it",)), rule.audit)
