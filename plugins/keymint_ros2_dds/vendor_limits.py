@@ -116,9 +116,8 @@ def check_size(size: int, kind: str, package: Package, lowered: Lowered | None =
         rules = Counter(rule for *_, rule in lowered.patterns())
         kinds = Counter(f"{rule.effect} {rule.kind}" for rule in rules.elements())
         ((largest, count),), ((of_kind, number),) = rules.most_common(1), kinds.most_common(1)
-        message += (
-            f"; {number} of its {rules.total()} patterns come from {of_kind} rules, {count} of them from one rule"
-        )
+        share = f"{number} of its {rules.total()} patterns come from {of_kind} rules"
+        message += f"; {share}, {count} of them from one rule"
         where = largest.origin
         if of_kind.startswith(Effect.DENY):
             help_ = "deny entire namespaces with a wildcard where that is intended"

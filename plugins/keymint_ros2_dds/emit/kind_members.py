@@ -64,7 +64,7 @@ class Structure:
     slots: tuple[Slot, ...]
     ros: frozenset[int]
     wildcards: tuple[Glob, ...]
-    _any: re.Pattern[str] | None
+    _any: re.Pattern[str]
 
     @classmethod
     def of(cls, kind: Kind, distro: str) -> Structure | None:
@@ -86,7 +86,7 @@ class Structure:
         wildcards = _with_intersections([*own])
         if wildcards is None:
             return None
-        match = re.compile("|".join(f"(?:{regex(each)})" for each in wildcards), re.DOTALL) if wildcards else None
+        match = re.compile("|".join(f"(?:{regex(each)})" for each in wildcards) or "(?!)", re.DOTALL)
         return cls(tuple(slots), frozenset(ros), wildcards, match)
 
     def fit(self, arguments: Arguments) -> tuple[list[str], Signature] | None:
@@ -100,8 +100,6 @@ class Structure:
         names = [head + arguments[number] + tail for head, number, tail in self.slots]
         first: dict[str, int] = {}
         equal = tuple(first.setdefault(name, index) for index, name in enumerate(names))
-        if self._any is None:
-            return names, (equal, ())
         match = self._any.fullmatch
         return names, (equal, tuple(self._matches(name) if match(name) else 0 for name in names))
 

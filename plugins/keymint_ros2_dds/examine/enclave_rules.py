@@ -62,11 +62,9 @@ def differences(enclave: EnclaveFiles) -> tuple[Diagnostic, ...]:
     unneeded = {layout.PERMISSIONS_XML, *([layout.KEY] if anchors.public_key or anchors.key_uri else [])}
     needed = [each for each in layout.enclave_files(anchors.layout, anchors.distro) if each not in unneeded]
     chains = {role: each.chain for role, each in anchors.authorities.items()}
-    found = EnclaveRules(enclave.files, enclave.folder, "'keymint install' restores it", "", chains).trust(
-        anchors, needed
-    )
+    rules = EnclaveRules(enclave.files, enclave.folder, "'keymint install' restores it", "", chains)
     # An encrypted key cannot be read without its password, so it is not compared with the certificate.
-    return tuple(each for each in found if each.code != "key-password")
+    return tuple(each for each in rules.trust(anchors, needed) if each.code != "key-password")
 
 
 @dataclass(frozen=True, slots=True)

@@ -115,10 +115,8 @@ class _Model:
         self._eras = tuple(era for era in eras if question.since is None or era.end >= question.since)
         self._by_locale = ""
         if not comparison.independent:
-            grants = [era.grant for era in self._eras]
-            unread, self._by_locale = octets.locale_dependence(
-                question.document, grants, question.task.rules, semantics
-            )
+            grants, rules = [era.grant for era in self._eras], question.task.rules
+            unread, self._by_locale = octets.locale_dependence(question.document, grants, rules, semantics)
             self._unmodelled = self._unmodelled or unread
 
     def claims(self) -> Iterator[Claim]:

@@ -111,8 +111,9 @@ def _of_document(
 ) -> Iterator[ExcessRights]:
     if b"<permissions" not in given.content:
         return
+    place = given.where.file, given.lines_before
     try:
-        document = read(given.content, given.where.file, given.lines_before)
+        document = read(given.content, *place)
     except KeymintError as error:
         if not given.proven_for:  # a document of an enclave that cannot be read is reported with it
             reason = str(error.diagnostics[0])
@@ -133,8 +134,11 @@ def _of_document(
             proven = shipped_models(task.distro or holder.distro)
             others = (each for each in chosen if each not in proven)
             models = [each for each in others if not any(_alike(chosen, each, model) for model in proven)]
-        claims = tuple(_claims(task, given, document, (holder, name), models, known))
-        if claims:
+        held = ComparisonTask(
+            given.content, *place, name, holder.rules, holder.distro, holder.domains, task.states, task.go_on
+        )
+        since = None if holder.name == known else task.now
+        if claims := tuple(_failed_claims(document, held, models, since)):
             yield ExcessRights(holder, given, claims, min(ends, holder.until))
 
 
@@ -158,29 +162,18 @@ def _rights(name: str, *, without_check: bool) -> Semantics:
     return replace(semantics, selects=STANDARD.selects, topic_check=check)
 
 
-def _claims(
-    task: PresentationTask,
-    given: PresentableDocument,
-    document: PermissionsDocument,
-    identity: _Identity,
-    models: Sequence[str],
-    known: str,
+def _failed_claims(
+    document: PermissionsDocument, held: ComparisonTask, models: Sequence[str], since: datetime | None
 ) -> Iterator[Claim]:
     """Yield the claims that fail: a holder's own document must permit its rights, all others at most these."""
     if not models:
         return
-    holder, own_name = identity
-    place = given.where.file, given.lines_before
-    held = ComparisonTask(
-        given.content, *place, own_name, holder.rules, holder.distro, holder.domains, task.states, task.go_on
-    )
-    since = None if holder.name == known else task.now
     try:
-        question = ProofQuestion(document, held, lower(holder.rules, holder.distro), None, since)
+        question = ProofQuestion(document, held, lower(held.rules, held.distro), None, since)
     except KeymintError as error:
         reason = str(error.diagnostics[0])
         yield from (Claim(name, "use", (), "", Proof.UNKNOWN, reason) for name in models)
         return
     if not document.defects:
-        dds_xml.know_valid(given.content, "permissions")
+        dds_xml.know_valid(held.document, "permissions")
     yield from (each for each in prove_document(question, models=models) if each.proof is not Proof.PROVEN)
