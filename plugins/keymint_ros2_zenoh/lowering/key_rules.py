@@ -16,7 +16,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from itertools import chain
 
-from comarmor.errors import Defects, Diagnostic, Origin, Severity
+from comarmor.errors import Defects, Diagnostic, Severity
 from comarmor.patterns import glob
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.possible_names import advice, matches_ros_name
@@ -232,40 +232,14 @@ MAX_DOMAINS = 32
 """Domains that one subject may have: key expressions have no ranges, so that each domain repeats all of them."""
 
 
-def lower(
-    rules: SubjectRules, distro: str, domains: Sequence[DomainRange], origin: Origin
-) -> tuple[tuple[AclRule, ...], tuple[Diagnostic, ...]]:
-    """Return what a router must permit or deny on the link of a subject, as rules without an id, and diagnostics.
+def lower_package(package: Package) -> tuple[tuple[AclRule, ...], tuple[Diagnostic, ...]]:
+    """Return what a router must permit or deny on the link of a package's subject, as rules without an id, and notes.
 
     Flows are as the router sees them: ingress is from the subject, egress to it.
 
-    Args:
-        rules: the subject's rules.
-        distro: ROS 2 distribution.
-        domains: the domains in which they apply.
-        origin: where the domains are written.
-
     Raises:
-        KeymintError: Zenoh cannot express a rule, or there are too many domains.
-    """
-    names = name_rules(rules, distro)
-    if sum(each.last - each.first + 1 for each in domains) > MAX_DOMAINS:
-        raise KeymintError(
-            f"the subject may join more than {MAX_DOMAINS} domains: Zenoh has no ranges of them, so that each one "
-            "repeats all rules",
-            where=origin,
-            help="name the domains that it needs",
-            code="zenoh-domains",
-        )
-    ids = domain_ids(domains)
-    return (*_rules(names, ids), *_graph(rules.subject, ids)), tuple(lower_notes(names))
-
-
-def lower_package(package: Package) -> tuple[tuple[AclRule, ...], tuple[Diagnostic, ...]]:
-    """Return what a router must permit or deny on the link of a package's subject; see :func:`lower`.
-
-    Raises:
-        KeymintError: Zenoh cannot express a rule or the validity of the grant; all defects with their ``file:line``.
+        KeymintError: Zenoh cannot express a rule or the validity of the grant, or there are too many domains; all
+            defects with their ``file:line``.
     """
     defects, grant = Defects(), package.grant
     rights, identity = grant.validity, package.identity.validity
@@ -281,9 +255,18 @@ def lower_package(package: Package) -> tuple[tuple[AclRule, ...], tuple[Diagnost
             )
         )
     with defects:
-        lowered = lower(grant.rules, package.distro, grant.domains, grant.domains_origin or grant.origin)
+        names = name_rules(grant.rules, package.distro)
+        if sum(each.last - each.first + 1 for each in grant.domains) > MAX_DOMAINS:
+            raise KeymintError(
+                f"the subject may join more than {MAX_DOMAINS} domains: Zenoh has no ranges of them, so that each one "
+                "repeats all rules",
+                where=grant.domains_origin or grant.origin,
+                help="name the domains that it needs",
+                code="zenoh-domains",
+            )
     defects.require_none()
-    return lowered
+    ids = domain_ids(grant.domains)
+    return (*_rules(names, ids), *_graph(names.subject, ids)), tuple(lower_notes(names))
 
 
 def domain_ids(domains: Iterable[DomainRange]) -> tuple[int, ...]:

@@ -9,7 +9,7 @@ import sys
 import pytest
 from hypothesis import given, settings
 from keymint_ros2_zenoh.documents.configuration import AclRule, Flow, Message, Permission
-from keymint_ros2_zenoh.lowering.key_rules import MAX_DOMAINS, lower
+from keymint_ros2_zenoh.lowering.key_rules import MAX_DOMAINS, lower_package
 from keymint_ros2_zenoh.lowering.permissions import SLOTS, USERS, Place, Slot
 
 from comarmor.errors import Diagnostic, Origin
@@ -19,6 +19,7 @@ from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from tests.conftest import CHECKOUT
 from tests.effort import tries
+from tests.plugins.keymint_ros2_zenoh.workspaces import package
 
 from .policies import KIND, NAMES, TYPED, matched, policies, policy_allows, router_permits, rule, subject_rules
 
@@ -28,7 +29,9 @@ LoweredKeys = tuple[tuple[AclRule, ...], tuple[Diagnostic, ...]]
 
 
 def lowered(rules: SubjectRules, *domains: DomainRange) -> LoweredKeys:
-    return lower(rules, "jazzy", domains or (DomainRange(0, 0),), WHERE)
+    return lower_package(
+        package(*rules.rules, subject=rules.subject, domains=domains or (DomainRange(0, 0),), domains_origin=WHERE)
+    )
 
 
 def permits(result: LoweredKeys, message: Message, flow: Flow, key: str) -> bool:

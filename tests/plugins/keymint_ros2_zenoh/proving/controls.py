@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from keymint_ros2_zenoh.decision import AccessModel
 from keymint_ros2_zenoh.documents.configuration import AccessControl, AclPolicy, AclRule, AclSubject, Permission
-from keymint_ros2_zenoh.lowering.key_rules import lower
+from keymint_ros2_zenoh.lowering.key_rules import lower_package
 from keymint_ros2_zenoh.proving.enclave_proof import prove_rights
 
 from comarmor.errors import Origin
@@ -24,7 +24,7 @@ def control_of(subjects: Mapping[str, SubjectRules]) -> AccessControl:
     """Return the access control for the rules of subjects by their common names."""
     rules, entries, policies = [], [], []
     for name, own in subjects.items():
-        lowered = lower(own, "jazzy", DOMAINS, Origin("package.xml"))[0]
+        lowered = lower_package(package(*own.rules, subject=own.subject, domains=DOMAINS))[0]
         ids = []
         for rule in lowered:
             ids.append(f"{name} {len(ids) + 1}")
