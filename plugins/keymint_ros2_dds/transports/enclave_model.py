@@ -253,15 +253,23 @@ class EnclaveModels:
     Args:
         enclaves: the enclaves.
         environment: the clock, and what was read before in this run.
+        variation: the model of the vendor that is asked.
         keep_all: keep the models of all subjects; otherwise of one, because edges come grouped by subject.
 
     Attributes:
         enclaves: the enclaves by subject.
+        variation: the model of the vendor that is asked.
     """
 
     def __init__(
-        self, enclaves: Iterable[InstalledEnclave], environment: Environment, *, keep_all: bool = False
+        self,
+        enclaves: Iterable[InstalledEnclave],
+        environment: Environment,
+        variation: Variation,
+        *,
+        keep_all: bool = False,
     ) -> None:
+        self.variation = variation
         self.enclaves = EnclavesBySubject((enclave.subject, enclave) for enclave in enclaves)
         self._environment = environment
         self._keep_all = keep_all
@@ -306,7 +314,7 @@ class Simulated(Transport):
     ) -> Iterator[tuple[Edge, Verdict]]:
         """See :meth:`keymint.api.Transport.label`."""
         del tier
-        models = EnclaveModels(enclaves, self._environment)
+        models = EnclaveModels(enclaves, self._environment, self._variation)
         for edge in edges:
             needed = endpoints(models.enclaves[edge.subject].distro, edge)
             yield edge, models.of(edge.subject, edge.domain).verdict(self._variation, needed)
@@ -314,7 +322,8 @@ class Simulated(Transport):
     def admitted(self, enclave: InstalledEnclave, endpoints: Column, tier: Tier) -> bytes:
         """See :meth:`keymint.api.Transport.admitted`."""
         del tier
-        models, domains = EnclaveModels([enclave], self._environment), {each.domain for each in endpoints.requests}
+        models = EnclaveModels([enclave], self._environment, self._variation)
+        domains = {each.domain for each in endpoints.requests}
         if len(domains) == 1:
             return models.of(enclave.subject, *domains).admitted(self._variation, endpoints)
         asked = ((models.of(enclave.subject, each.domain), each) for each in endpoints.requests)

@@ -31,7 +31,7 @@ from keymint_ros2_dds.transports.trials import Opener, exchange
 from keymint_ros2_dds.vendors import probe_builds
 from keymint_ros2_dds.vendors.cyclone_access_control import CycloneAccessControl
 from keymint_ros2_dds.vendors.participants import CycloneDDS, FastDDS, FastDDS3, RefusedError, Vendor
-from keymint_ros2_dds.vendors.probe_builds import inherited_variables, unpacked_version
+from keymint_ros2_dds.vendors.probe_builds import unpacked_version
 from keymint_ros2_dds.vendors.ros_network import PRIVATE, RosNetwork
 
 
@@ -98,17 +98,17 @@ class ParticipantsTransport(VendorTransport):
     ) -> Iterator[tuple[Edge, Verdict]]:
         """See :meth:`keymint.api.Transport.label`."""
         self.usable().require(tier, self._name)
-        models = EnclaveModels(enclaves, self._environment, keep_all=tier is Tier.EXCHANGE)
+        models = EnclaveModels(enclaves, self._environment, self._software.model, keep_all=tier is Tier.EXCHANGE)
         if tier is not Tier.EXCHANGE:
-            return trials.edge_verdicts(self._opener(tier), self._software.model, models, edges)
+            return trials.edge_verdicts(self._opener(tier), models, edges)
         vendor = self._vendor(nonconforming=True)
         for enclave in enclaves:
             enclave_files.refuse_unusable_key(enclave)
-        return exchange(vendor, self._software.model, models, edges)
+        return exchange(vendor, models, edges)
 
     def admitted(self, enclave: InstalledEnclave, endpoints: Column, tier: Tier) -> bytes:
         """See :meth:`keymint.api.Transport.admitted`."""
-        opener, models = self._opener(tier), EnclaveModels([enclave], self._environment)
+        opener, models = self._opener(tier), EnclaveModels([enclave], self._environment, self._software.model)
         admitted = bytearray(len(endpoints.requests))
         for domain in {each.domain for each in endpoints.requests}:
             creatable = [
@@ -132,7 +132,9 @@ class ParticipantsTransport(VendorTransport):
     def _vendor(self, *, nonconforming: bool) -> Vendor:
         """Return the vendor with its built programs; the compiler is asked once whether they are up to date."""
         if nonconforming not in self._vendors:
-            cache, environment = self._environment.cache / "probes", inherited_variables(self._environment.variables)
+            cache, variables = self._environment.cache / "probes", self._environment.variables
+            # None that configures a vendor.
+            environment = {name: variables[name] for name in ("PATH", "LD_LIBRARY_PATH") if name in variables}
             vendor, unpacked = self._software.vendor, self._software.unpacked
             probe, library, version = vendor.PROBE, vendor.NONCONFORMING, None
             try:
@@ -225,11 +227,13 @@ class RosTransport(VendorTransport):
     ) -> Iterator[tuple[Edge, Verdict]]:
         """See :meth:`keymint.api.Transport.label`. The reason of a denial is what ROS says, without the name."""
         self.usable().require(tier, "ros")
-        models = EnclaveModels(enclaves, self._environment)
         if any(each.install.is_relative_to(PRIVATE) for each in enclaves):
             raise KeymintError(f"nodes see no file below {PRIVATE}", help="set TMPDIR", code="transport-unusable")
         try:
             with RosNetwork(self._environment.variables) as network:
+                vendor = "fastdds" if "rtps" in network.rmw else "cyclonedds"
+                version = DISTROS.get(self._environment.variables["ROS_DISTRO"], {}).get(vendor, "")
+                models = EnclaveModels(enclaves, self._environment, of_version(vendor, version))
                 for (subject, domain), group in groupby(edges, key=lambda edge: (edge.subject, edge.domain)):
                     yield from self._labelled(network, models, models.enclaves[subject], domain, group)
         except (MissingVendorError, ProcessFailedError) as error:
@@ -239,8 +243,6 @@ class RosTransport(VendorTransport):
         self, network: RosNetwork, models: EnclaveModels, enclave: InstalledEnclave, domain: int, edges: Iterable[Edge]
     ) -> Iterator[tuple[Edge, Verdict]]:
         """Yield the decisions on the edges of an enclave; a node that dies of one is started again for the next."""
-        vendor, distro = "fastdds" if "rtps" in network.rmw else "cyclonedds", self._environment.variables["ROS_DISTRO"]
-        variation = of_version(vendor, DISTROS.get(distro, {}).get(vendor, ""))
         model, node, refusal = models.of(enclave.subject, domain), None, ""
         for edge in edges:
             try:
@@ -252,7 +254,7 @@ class RosTransport(VendorTransport):
             except ProcessDiedError as error:
                 answer, text, node = "DENIED", str(error).partition(":")[0], None
             allowed = not refusal and answer == "ALLOWED"
-            modelled = model.verdict(variation, endpoints(enclave.distro, edge))
+            modelled = model.verdict(models.variation, endpoints(enclave.distro, edge))
             alike = modelled.allowed == allowed
             reason = refusal or text.replace(edge.object.name, "…") or "it is created"
             where, deviation = (modelled.where, modelled.deviation) if alike else (model.place(), "")

@@ -25,7 +25,6 @@ from keymint.api import InstalledEnclave, Verdict
 from keymint.api.graph import Edge
 from keymint.errors import KeymintError
 from keymint.host.vendor_process import ProcessFailedError
-from keymint_ros2_dds.decision.semantics import Variation
 from keymint_ros2_dds.enclave_layout import reads_revocations
 from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports import enclave_files
@@ -100,14 +99,11 @@ Opener = Callable[[EnclaveModels, str, int], AbstractContextManager[ProbePartici
 """Opens the enclave of a subject in a domain, to ask it about endpoints; a text says why the vendor refuses it."""
 
 
-def edge_verdicts(
-    opener: Opener, model: Variation, models: EnclaveModels, edges: Iterable[Edge]
-) -> Iterator[tuple[Edge, Verdict]]:
+def edge_verdicts(opener: Opener, models: EnclaveModels, edges: Iterable[Edge]) -> Iterator[tuple[Edge, Verdict]]:
     """Yield whether a vendor allows each edge; the enclaves are opened one at a time.
 
     Args:
         opener: opens an enclave.
-        model: the model of the vendor.
         models: the enclaves.
         edges: grouped by subject.
 
@@ -122,7 +118,7 @@ def edge_verdicts(
                     yield edge, Verdict(allowed=False, reason=opened, where=enclave_model.place())
                 else:
                     needed = endpoints(enclave.distro, edge)
-                    yield edge, enclave_model.verdict(model, needed, answers(opened, needed))
+                    yield edge, enclave_model.verdict(models.variation, needed, answers(opened, needed))
 
 
 def answers(vendor: ProbeParticipant | CycloneAccessControl, needed: Iterable[Edge]) -> Iterator[tuple[bool, str]]:
@@ -155,14 +151,11 @@ class _Trial:
     delivered: bool = False
 
 
-def exchange(
-    vendor: Vendor, model: Variation, models: EnclaveModels, edges: Iterable[Edge]
-) -> Iterator[tuple[Edge, Verdict]]:
+def exchange(vendor: Vendor, models: EnclaveModels, edges: Iterable[Edge]) -> Iterator[tuple[Edge, Verdict]]:
     """Yield whether data is delivered for each edge.
 
     Args:
         vendor: the vendor, with its probe and the library for participants that do not conform.
-        model: the model of the vendor.
         models: the enclaves; each may be the other end.
         edges: grouped by subject.
 
@@ -171,19 +164,17 @@ def exchange(
     """
     for _, group in groupby(edges, key=lambda edge: (edge.subject, edge.domain)):
         while batch := list(islice(group, BATCH)):
-            yield from _batch(vendor, model, models, batch)
+            yield from _batch(vendor, models, batch)
 
 
-def _batch(
-    vendor: Vendor, model: Variation, models: EnclaveModels, batch: Sequence[Edge]
-) -> Iterator[tuple[Edge, Verdict]]:
+def _batch(vendor: Vendor, models: EnclaveModels, batch: Sequence[Edge]) -> Iterator[tuple[Edge, Verdict]]:
     subject, domain = batch[0].subject, batch[0].domain
     enclave, enclave_model = models.enclaves[subject], models.of(subject, domain)
     all_needed = dict.fromkeys(endpoint for edge in batch for endpoint in endpoints(enclave.distro, edge))
     with participant(vendor, models, subject, domain) as opened:
         admissions = repeat((False, opened)) if isinstance(opened, str) else answers(opened, all_needed)
         trials = {
-            endpoint: _Trial(endpoint, *answer, _peer(endpoint, models, model))
+            endpoint: _Trial(endpoint, *answer, _peer(endpoint, models))
             for endpoint, answer in zip(all_needed, admissions, strict=False)
         }
     with_peer: dict[str, list[_Trial]] = {}
@@ -194,10 +185,10 @@ def _batch(
         _try(vendor, enclave, group)
     for edge in batch:
         needed = endpoints(enclave.distro, edge)
-        yield edge, enclave_model.verdict(model, needed, (_answer(trials[endpoint]) for endpoint in needed))
+        yield edge, enclave_model.verdict(models.variation, needed, (_answer(trials[each]) for each in needed))
 
 
-def _peer(endpoint: Edge, models: EnclaveModels, model: Variation) -> InstalledEnclave | None:
+def _peer(endpoint: Edge, models: EnclaveModels) -> InstalledEnclave | None:
     """Return the first other enclave, by name, that may be the other end by the model of the vendor.
 
     One that refuses the subject in the handshake, or is refused by it, is taken if there is no other.
@@ -211,8 +202,8 @@ def _peer(endpoint: Edge, models: EnclaveModels, model: Variation) -> InstalledE
     for subject in sorted(models.enclaves.keys() - {endpoint.subject}):
         other = replace(endpoint, subject=subject, permission=_OTHER_END[endpoint.permission])
         peer = models.of(subject, endpoint.domain)
-        if peer.decide(model, other).allowed:
-            if not peer.refuses(own, model) and not own.refuses(peer, model):
+        if peer.decide(models.variation, other).allowed:
+            if not peer.refuses(own, models.variation) and not own.refuses(peer, models.variation):
                 return models.enclaves[subject]
             stranger = stranger or models.enclaves[subject]
     return stranger

@@ -95,11 +95,6 @@ _SOURCES = Path(__file__).parent
 HELP = "'make vendors-new' in a checkout of Keymint unpacks it from Debian"
 
 
-def inherited_variables(environment: Mapping[str, str]) -> Mapping[str, str]:
-    """Return the variables that a probe inherits: none that configures a vendor."""
-    return {name: environment[name] for name in ("PATH", "LD_LIBRARY_PATH") if name in environment}
-
-
 def _missing(vendor: str, reason: str, packages: Sequence[str]) -> MissingVendorError:
     return MissingVendorError(vendor, reason, f"apt-get install {' '.join(packages)}")
 
