@@ -11,14 +11,7 @@ from comarmor.errors import Diagnostic, Origin
 from comarmor.regex import lazy_regex
 from comarmor.text import quote
 from comarmor.xml.reader import line
-from keymint.api import (
-    Extension,
-    PackageSettings,
-    PackageSources,
-    Role,
-    SourcePart,
-    WorkspaceProfile,
-)
+from keymint.api import Extension, PackageSettings, PackageSources, Role, SourcePart, WorkspaceProfile
 from keymint.api.source_documents import Reader, text
 from keymint.errors import KeymintError
 from keymint_ros2_zenoh.lowering.permissions import check_distro

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache
+from itertools import chain
 
 from comarmor.values import dataclass
 from keymint.api import Claim, Package, Proof, SharedProofTask
@@ -61,49 +62,35 @@ class Leak:
     key: keyexpr.KeyExpr | None
 
 
+_Groups = dict[tuple[tuple[keyexpr.KeyExpr, ...], tuple[keyexpr.KeyExpr, ...]], list[str]]
+"""Receivers by what they may receive, since many have the same rights.
+
+These are key expressions with wildcards that are allowed, and those that are denied.
+"""
+
+
 def leaks(senders: Iterable[Rights], receivers: Sequence[Rights]) -> Iterator[Leak]:
-    """Yield at most one leak for each denied key expression of a sender."""
-    groups = _groups(receivers)
+    """Yield at most one leak for each denied key expression of a sender: the first with a known key, else the first."""
+    groups: _Groups = {}
+    for each in receivers:
+        if received := tuple(allowed for allowed in each.allowed if not allowed.is_literal):
+            groups.setdefault((received, each.denied), []).append(each.subject)
     for sender in senders:
         wild = [each for each in sender.allowed if not each.is_literal]
         for denied in sender.denied:
             around = [each for each in wild if keyexpr.intersects(each, denied) and not keyexpr.includes(denied, each)]
-            if around:
-                yield from _first(_past(sender, denied, around, groups))
+            if not around:
+                continue
+            found = _past(sender, denied, around, groups)
+            first = next(found, None)
+            if first is not None:
+                yield next((leak for leak in chain((first,), found) if leak.key is not None), first)
 
 
-_Group = tuple[tuple[keyexpr.KeyExpr, ...], tuple[keyexpr.KeyExpr, ...], list[str]]
-"""Key expressions with wildcards that are allowed, those that are denied, and the subjects that have both."""
-
-
-def _groups(receivers: Iterable[Rights]) -> list[_Group]:
-    """Return the receivers by what they may receive: many have the same rights."""
-    groups: dict[tuple[tuple[keyexpr.KeyExpr, ...], tuple[keyexpr.KeyExpr, ...]], list[str]] = {}
-    for each in receivers:
-        wild = tuple(allowed for allowed in each.allowed if not allowed.is_literal)
-        if wild:
-            groups.setdefault((wild, each.denied), []).append(each.subject)
-    return [(allowed, denied, subjects) for (allowed, denied), subjects in groups.items()]
-
-
-def _first(found: Iterable[Leak]) -> Iterator[Leak]:
-    """Yield the first leak whose key is known, else the first one."""
-    unknown = None
-    for leak in found:
-        if leak.key is not None:
-            yield leak
-            return
-        unknown = unknown or leak
-    if unknown is not None:
-        yield unknown
-
-
-def _past(
-    sender: Rights, denied: keyexpr.KeyExpr, around: list[keyexpr.KeyExpr], groups: Iterable[_Group]
-) -> Iterator[Leak]:
+def _past(sender: Rights, denied: keyexpr.KeyExpr, around: list[keyexpr.KeyExpr], groups: _Groups) -> Iterator[Leak]:
     """Yield the leaks past a denied key expression, one for each right of each group."""
     sent = [key for key in (*wider(denied), *around) if any(keyexpr.includes(each, key) for each in around)]
-    for allowed, hidden, subjects in groups:
+    for (allowed, hidden), subjects in groups.items():
         receiver = next((subject for subject in subjects if subject != sender.subject), None)
         for right in allowed if receiver else ():
             if not keyexpr.intersects(right, denied) or keyexpr.includes(denied, right):
