@@ -19,7 +19,7 @@ class DdsGraphs(GraphSource):
     observe = lazy("keymint_ros2_dds.discovery.cyclonedds_observer:observe")
     recognises = lazy("keymint_ros2_dds.discovery.admin_console:recognises")
     read = lazy("keymint_ros2_dds.discovery.admin_console:read")
-    interpret = lazy("keymint_ros2_dds.discovery.endpoint_translation:interpret")
+    interpret = lazy("keymint_ros2_dds.discovery.capture:interpret")
 
 
 graph_source = DdsGraphs()

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import pytest
-from keymint_ros2_dds.discovery.endpoint_translation import ros_edge, ros_type
+from keymint_ros2_dds.discovery.capture import ros_edge, ros_type
 
 from keymint.api.graph import Edge, Object
 

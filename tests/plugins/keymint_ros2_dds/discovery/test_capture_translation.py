@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from keymint_ros2_dds.discovery.endpoint_translation import interpret
+from keymint_ros2_dds.discovery.capture import interpret
 
 from comarmor.rules import PARTS
 from keymint.api.graph import Edge, Graph, Object
