@@ -115,14 +115,14 @@ def require_in_use(files: AuthorityFiles, key: keys.PublicKey) -> None:
             )
         help_ = f"restore the file that is wrong; {new_help}"
         require_pair(key, present, files.key_file, str(files.certificate_file), help_)
-    if present is not None and not distinguished_names.has_same_rdns(present.subject, files.subject):
-        raise KeymintError(
-            f"is for {distinguished_names.to_text(present.subject)!r}, but {spec.origin} asks for "
-            f"{distinguished_names.to_text(files.subject)!r}",
-            where=files.certificate_file,
-            help=f"restore the file or the subject_name; {new_help}",
-            code="authority-renamed",
-        )
+        if not distinguished_names.has_same_rdns(present.subject, files.subject):
+            found, wanted = map(distinguished_names.to_text, (present.subject, files.subject))
+            raise KeymintError(
+                f"is for {found!r}, but {spec.origin} asks for {wanted!r}",
+                where=files.certificate_file,
+                help=f"restore the file or the subject_name; {new_help}",
+                code="authority-renamed",
+            )
     require_known(files, key)
 
 

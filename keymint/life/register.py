@@ -186,11 +186,8 @@ class Register:
             reason: one of :data:`REASONS`.
             at: when, UTC.
         """
-        certificates = dict(self.certificates)
-        for each in revoked:
-            if each.revoked is None:
-                certificates[each.issuer, each.serial] = replace(each, revoked=at, reason=reason)
-        return replace(self, certificates=certificates)
+        new = [replace(each, revoked=at, reason=reason) for each in revoked if each.revoked is None]
+        return replace(self, certificates={**self.certificates, **{(each.issuer, each.serial): each for each in new}})
 
     def with_rights(self, signed: Iterable[SignedRights]) -> Register:
         """Return the register with more signed documents; one that has ended stays, as the clock may be wrong."""

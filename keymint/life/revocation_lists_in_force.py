@@ -9,8 +9,6 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping
 from datetime import datetime
 
-from cryptography import x509
-
 from comarmor.errors import Origin
 from keymint.api import Authority, SigningAuthority
 from keymint.authority import authority_files
@@ -189,25 +187,6 @@ def _require_known(session: Session, name: str, present: RevocationList, revoked
             help="restore the latest register from a backup; or remove it, and 'keymint crl --rebuild' makes it again",
             code="register-outdated",
         )
-
-
-def require_removable(
-    session: Session, authority: str, issuer: x509.Certificate, content: bytes, where: Origin
-) -> None:
-    """Require that a file which leaves an enclave is no revocation list, or only has what the list in force has.
-
-    Args:
-        session: the workspace and its profile.
-        authority: the authority that issued the certificate of the enclave.
-        issuer: its certificate.
-        content: the file.
-        where: the file, for messages.
-
-    Raises:
-        KeymintError: it revokes certificates that would be accepted again.
-    """
-    if not revocation_lists.problem(content, issuer):
-        require_nothing_lost(content, lists(session).get(authority), where)
 
 
 def require_nothing_lost(before: bytes | None, after: bytes | None, where: Origin) -> None:

@@ -122,9 +122,8 @@ def _rights_found(session: Session) -> Iterator[SignedRights]:
 
 def register_change(session: Session, register: Register) -> tuple[FolderChange, ...]:
     """Return what writes a register, if it differs from the one on the disk."""
-    if register == register_of(session):
-        return ()
-    return (secret_file(session.workspace.register, register_file(register)),)
+    is_same = register == register_of(session)
+    return () if is_same else (secret_file(session.workspace.register, register_file(register)),)
 
 
 @lru_cache(maxsize=64)

@@ -20,7 +20,7 @@ from keymint.life.register import SignedRights
 from keymint.life.terms import iso_time
 from keymint.life.workspace_register import register_of
 from keymint.names import subject_of
-from keymint.pki import certificates
+from keymint.pki import certificates, revocation_lists
 from keymint.pki.distinguished_names import to_text
 from keymint.stages import identities
 from keymint.stages.documents import (
@@ -316,9 +316,10 @@ def _obsolete(
     """
     stamp = session.state.stamp(STAGE, package.name)
     obsolete = tuple(file for file in sorted(stamp.outputs) if file in left) if stamp else ()
-    for file in obsolete:
+    for file in (each for each in obsolete if not revocation_lists.problem(left[each], issuer)):
+        in_force = revocation_lists_in_force.lists(session).get(package.identity.issuer)
         where = session.workspace.origin(session.enclave(package.name) / file)
-        revocation_lists_in_force.require_removable(session, package.identity.issuer, issuer, left[file], where)
+        revocation_lists_in_force.require_nothing_lost(left[file], in_force, where)
     return obsolete
 
 

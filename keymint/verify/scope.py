@@ -116,17 +116,13 @@ def installed_scopes(
         for subject, package in sorted(packages.items())
     }
     infrastructure = {each.name for package in chosen.values() for each in package.infrastructure}
+    build_types = dict.fromkeys(name for package in chosen.values() for name in package.build_types)
     return (
-        {name: _scope(session, name, packages, enclaves) for name in build_types_of(chosen.values())},
+        {name: _scope(session, name, packages, enclaves) for name in build_types},
         enclaves,
         frozenset(session.enclave(name) for name in there.difference(chosen)),
         frozenset(session.enclave(name) for name in there.intersection(infrastructure)),
     )
-
-
-def build_types_of(packages: Collection[Package]) -> tuple[str, ...]:
-    """Return the names of the build types of packages, in the order of the packages."""
-    return tuple(dict.fromkeys(name for package in packages for name in package.build_types))
 
 
 def _scope(

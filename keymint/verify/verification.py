@@ -101,7 +101,8 @@ class VerificationPart:
         labels = label(policy, rows(), lambda subject: asking.on_subject("policy", subject))
         alone = asking.tier is not Tier.EXCHANGE and scope.namings.keys() >= set(subjects)
 
-        def compared(name: str, transport: Transport) -> EdgeComparison:
+        comparisons: list[EdgeComparison] = []
+        for name, transport in transports.items():
             comparison = TransportComparison(name, transport, self.enclaves(), explain, asking)
             if alone and transport.ADMITS:
                 comparison.all_endpoints(rows(), labels, policy)
@@ -109,10 +110,8 @@ class VerificationPart:
                 comparison.edges(chain.from_iterable(rows()), labels)
                 if scope.select is None:
                     comparison.halves(rows(), labels, policy)
-            return comparison.result()
-
-        comparisons = tuple(compared(name, transport) for name, transport in transports.items())
-        return Verification(scope.build_type, subjects, rows, labels, policy.decide, comparisons)
+            comparisons.append(comparison.result())
+        return Verification(scope.build_type, subjects, rows, labels, policy.decide, tuple(comparisons))
 
     def about(self, subjects: Sequence[str], *, elsewhere: bool) -> VerificationPart:
         """Return the part about some of the subjects, for this machine or for another one."""

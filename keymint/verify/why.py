@@ -202,17 +202,12 @@ def _labels(
     """Return the decisions of transports on copies of the enclave."""
     install, name = session.workspace.install, name_of(edge.subject)
     enclave = api.InstalledEnclave(edge.subject, session.enclave(name), session.profile.distro, install)
-    there = enclave_names(session)
-    infrastructure = {each.name for each in package.infrastructure} if package else ()
-    labels: dict[str, Mismatch] = {}
-    with enclave_copies(
-        session.tree,
-        install,
-        {edge.subject: enclave},
-        [each for group in asked.values() for each in group.values()],
-        [session.enclave(each) for each in there],
-        [session.enclave(each) for each in there if each in infrastructure],
-    ) as copies:
+    folders = {each: session.enclave(each) for each in enclave_names(session)}
+    needed = {each.name for each in package.infrastructure} if package else set[str]()
+    infrastructure = [folder for each, folder in folders.items() if each in needed]
+    transports = [each for group in asked.values() for each in group.values()]
+    enclaves, others, labels = {edge.subject: enclave}, folders.values(), dict[str, Mismatch]()
+    with enclave_copies(session.tree, install, enclaves, transports, others, infrastructure) as copies:
         (copy,) = copies.enclaves.values()
         for build_type, group in asked.items():
             explainer = Explainer(views[build_type].policy, group, cache(partial(find_models, build_type)), copies)

@@ -12,7 +12,7 @@ import click
 
 from comarmor.errors import Diagnostic
 from comarmor.text import quantity
-from keymint.api import Claim, Counterexample, Proof
+from keymint.api import Claim, Counterexample, PolicyDecision, Proof, Verdict
 from keymint.command_line.options import complete_package, standard_only_option, strict_option, vendors_of_option
 from keymint.command_line.verb import Number, Report, Run, argument, findings_exit, findings_if, option, verb
 from keymint.errors import ExitCode, KeymintError
@@ -29,7 +29,6 @@ from keymint.store.changes import Action, Step
 from keymint.workspace.policy_loading import lazy_policy
 from keymint.workspace.session import Session
 
-_NOWHERE = {"file": None, "line": None}
 SHOWN = 5
 """Number of unprotected topics in the summary; ``--json`` lists all of them."""
 
@@ -243,15 +242,11 @@ def _counterexample(counterexample: Counterexample, run: Run) -> dict[str, Any]:
         "partitions": [legible(each) for each in counterexample.endpoint.partitions],
         "domain": counterexample.endpoint.domain,
         "ros": meaning and {"kind": meaning.object.kind, "permission": meaning.permission, "name": meaning.object.name},
-        "policy": {
-            "allowed": counterexample.policy.allowed,
-            "reason": str(counterexample.policy.reason),
-            **(line_json(counterexample.policy.where, run.typed) or _NOWHERE),
-        },
-        "document": {
-            "allowed": counterexample.document.allowed,
-            "reason": counterexample.document.reason,
-            **(line_json(counterexample.document.where, run.typed) or _NOWHERE),
-            "deviation": counterexample.document.deviation,
-        },
+        "policy": _decision(counterexample.policy, run),
+        "document": {**_decision(counterexample.document, run), "deviation": counterexample.document.deviation},
     }
+
+
+def _decision(decision: PolicyDecision | Verdict, run: Run) -> dict[str, Any]:
+    where = line_json(decision.where, run.typed) or {"file": None, "line": None}
+    return {"allowed": decision.allowed, "reason": str(decision.reason), **where}
