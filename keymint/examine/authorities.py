@@ -52,14 +52,11 @@ def authorities(session: Session, within: timedelta) -> Iterator[Diagnostic]:
             except KeymintError as error:
                 yield from key_defects(error)
         if files.content is None:
-            yield Diagnostic.error(
-                "authority-missing",
-                f"the authority {authority.name!r} has no certificate",
-                files.certificate_file,
-                "'keymint install' restores it"
-                if files.key or authority.certificate.key.uri
-                else f"restore it; {authority_files.new_authority_help(authority.name)}",
-            )
+            message = f"the authority {authority.name!r} has no certificate"
+            help_ = f"restore it; {authority_files.new_authority_help(authority.name)}"
+            if files.key or authority.certificate.key.uri:
+                help_ = "'keymint install' restores it"
+            yield Diagnostic.error("authority-missing", message, files.certificate_file, help_)
             continue
         yield from _certificate(files, key, issuers)
         if files.certificate is not None:
@@ -88,12 +85,9 @@ def _certificate(
         return
     public, issuer = certificates.public_key(certificate), issuers.get(spec.issuer)
     if not authority_files.satisfies(files.content or b"", spec, public, issuer):
-        yield Diagnostic.error(
-            "authority-drift",
-            f"the certificate of {files.name!r} is not the one that the profile specifies",
-            files.certificate_file,
-            "run 'keymint install', which reissues it for the same key, and redeploy all enclaves",
-        )
+        message = f"the certificate of {files.name!r} is not the one that the profile specifies"
+        help_ = "run 'keymint install', which reissues it for the same key, and redeploy all enclaves"
+        yield Diagnostic.error("authority-drift", message, files.certificate_file, help_)
 
 
 _MOST = 64 * 1024

@@ -55,7 +55,6 @@ def file_status(inputs: Inputs) -> Iterator[Diagnostic]:
     private = list(_walk(inputs, workspace.private))
     for entries in (private, *(list(_walk(inputs, each)) for each in (workspace.install, workspace.next_install))):
         yield from _kinds(inputs, entries)
-        yield from _each_folder(inputs, entries)
         yield from _owned_by_others(inputs, entries, owners)
     yield from _private(inputs, private)
     for space in (workspace.build, workspace.public, workspace.state, workspace.profile, workspace.src):
@@ -178,27 +177,22 @@ def _private(inputs: Inputs, entries: list[_Entry]) -> Iterator[Diagnostic]:
 
 
 def _kinds(inputs: Inputs, entries: list[_Entry]) -> Iterator[Diagnostic]:
-    """Report entries that are neither files nor folders; links are reported with the modes."""
+    """Report entries of a space created by Keymint that are neither files nor folders, and folders open to others.
+
+    Links are reported with the modes.
+    """
     for path, status in entries:
         kind = stat.S_IFMT(status.st_mode)
         if kind not in (stat.S_IFREG, stat.S_IFDIR, stat.S_IFLNK):
             is_a = {stat.S_IFIFO: "a named pipe", stat.S_IFSOCK: "a socket"}.get(kind, "a device")
             message, where = f"is {is_a}, where files and folders are expected", inputs.workspace.origin(path)
             yield Diagnostic.error("file-kind", message, where, "remove it")
-
-
-def _each_folder(inputs: Inputs, entries: list[_Entry]) -> Iterator[Diagnostic]:
-    """Report folders of a space created by Keymint that others can write to."""
     for path, status in entries:
         mode = status.st_mode
         if stat.S_ISDIR(mode) and mode & (_GROUP | _OTHERS):
             shown = inputs.workspace.shown(path)
-            yield Diagnostic.error(
-                "place-writable",
-                f"has mode {stat.S_IMODE(mode):04o}: others can replace what lies in it",
-                Origin(shown),
-                f"chmod go-w {shown}",
-            )
+            message = f"has mode {stat.S_IMODE(mode):04o}: others can replace what lies in it"
+            yield Diagnostic.error("place-writable", message, Origin(shown), f"chmod go-w {shown}")
 
 
 def _open_to_others(inputs: Inputs, entries: list[_Entry]) -> Iterator[Diagnostic]:

@@ -136,7 +136,6 @@ def explain(
     views = _views(session, policy, package, edge)
     meanings = tuple(dict.fromkeys(each for view in views.values() for each in view.meanings))
     decisions = {name: view.policy.decide(edge) for name, view in views.items()}
-    profiles = policy.profiles(edge.subject)
     subject_rules = policy.rules(edge.subject)
     rules = subject_rules.rules if subject_rules else ()
     matching = matching_rules(rules, (edge, *meanings))
@@ -145,7 +144,7 @@ def explain(
     asked = {name: group for name, group in transports.items() if name in views}
     return Explanation(
         edge=edge,
-        profiles=profiles,
+        profiles=policy.profiles(edge.subject),
         policy=next(iter(decisions.values()), policy.decide(edge)),
         decisions=decisions,
         rules=[MatchedRule(rules[at], rules[at].origin) for at in matching],
