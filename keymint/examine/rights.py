@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from datetime import datetime
 from functools import partial
 
@@ -188,10 +189,8 @@ def _files(session: Session) -> Mapping[str, bytes]:
             continue
         content = tree.try_read(path) or b""
         if content[257:262] == b"ustar":
-            try:
+            with suppress(KeymintError):
                 found |= {f"{path}:{name}": each for name, each in bundle.unpack(content, Origin(path)).items()}
-            except KeymintError:
-                continue
         elif len(content) <= _MOST and (_SIGNED in content or _CERTIFICATE in content):
             found[path] = content
     return found
@@ -228,10 +227,8 @@ def _documents(
 def _signed(content: bytes, signers: Iterable[bytes], *, verify: bool) -> SignedDocument | None:
     """Return a signed document, or None if it has not exactly one reading, or none of the signers signed it."""
     for signer in signers:
-        try:
+        with suppress(KeymintError):
             return smime.read(content, signer) if verify else smime.unwrap(content)
-        except KeymintError:
-            continue
     return None
 
 
@@ -291,16 +288,9 @@ def _common_name(name: str) -> str:
 
 def _certificates(contents: Iterable[bytes]) -> Iterator[x509.Certificate]:
     """Yield the certificates of identities in some files, each once."""
-    known: set[bytes] = set()
-    for content in contents:
-        if _CERTIFICATE not in content or content in known:
-            continue
-        known.add(content)
-        try:
-            bundle = certificates.load_bundle(content)
-        except KeymintError:
-            continue
-        yield from bundle
+    for content in dict.fromkeys(each for each in contents if _CERTIFICATE in each):
+        with suppress(KeymintError):
+            yield from certificates.load_bundle(content)
 
 
 def _signers(session: Session, packages: Iterable[api.Package]) -> Iterator[str]:
