@@ -115,13 +115,12 @@ def _answer(
     packages: Mapping[str, api.Package],
 ) -> _Answer:
     """Return the claims about the documents of the build type of some packages, and those that outlive the policy."""
-    files, register = _files(session), session.workspace.register
-    holders = tuple(_holders(session, policy, packages, files))
+    register, holders = session.workspace.register, tuple(_holders(session, policy, packages))
     try:
         earlier = {each.content: each for each in register_of(session).rights if each.not_after >= session.now}
     except ValueError:
         raise register_error(session.workspace.origin(register)) from None
-    present = tuple(_documents(session, presentation.FILE, packages, files))
+    present = tuple(_documents(session, presentation.FILE, packages))
     places = {
         content: f"{session.workspace.shown(register)} ({subject_of(each.name)})" for content, each in earlier.items()
     }
@@ -197,9 +196,9 @@ def _files(session: Session) -> Mapping[str, bytes]:
 
 
 def _documents(
-    session: Session, presented: str, packages: Mapping[str, api.Package], found: Mapping[str, bytes]
+    session: Session, presented: str, packages: Mapping[str, api.Package]
 ) -> Iterator[api.PresentableDocument]:
-    """Yield the signed documents among some files.
+    """Yield the signed documents in the spaces.
 
     That in the enclave of a package, beside a certificate for the package's name, is verified and proven with it.
     """
@@ -212,6 +211,7 @@ def _documents(
         for place in places
     }
     verified: dict[bytes, SignedDocument | None] = {}
+    found = _files(session)
     for path, content in found.items():
         folder, _, name = path.rpartition("/")
         owner = owners.get(folder, "") if name == presented else ""
@@ -235,15 +235,13 @@ def _signed(content: bytes, signers: Iterable[bytes], *, verify: bool) -> Signed
 # -- whose certificates are in force ---------------------------------------------------------------------------------
 
 
-def _holders(
-    session: Session, policy: api.LoadedPolicy, packages: Mapping[str, api.Package], found: Mapping[str, bytes]
-) -> Iterator[api.Holder]:
-    """Yield the certificates in force: those among some files, and those of the register that are not here."""
+def _holders(session: Session, policy: api.LoadedPolicy, packages: Mapping[str, api.Package]) -> Iterator[api.Holder]:
+    """Yield the certificates in force: those in the spaces, and those of the register that are not here."""
     register, now = register_of(session), session.now
     ends: dict[str, datetime] = {}
     issuers = [(issuer_of(each), each) for each in authority_files.trusted_authorities(session)]
     seen: set[tuple[str, int]] = set()
-    for certificate in _certificates(found.values()):
+    for certificate in _certificates(_files(session).values()):
         of_others = ((key, each) for key, each in issuers if each != certificate)
         issuer = next((key for key, each in of_others if certificates.is_issued_by(certificate, each)), None)
         if issuer is None:

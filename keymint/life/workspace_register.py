@@ -133,26 +133,21 @@ def issuer_of(authority: x509.Certificate) -> str:
 
 
 def entry_of(
-    certificate: x509.Certificate,
-    issuer: x509.Certificate,
-    authority: str,
-    name: str,
-    generation: int,
-    rights: str = "",
+    certificate: x509.Certificate, issuer: str, authority: str, name: str, generation: int, rights: str = ""
 ) -> IssuedCertificate:
     """Return the entry of a certificate for the register.
 
     Args:
         certificate: the certificate.
-        issuer: the certificate of its issuer.
+        issuer: what :func:`issuer_of` returns for its issuer.
         authority: name of its issuer.
         name: the package.
         generation: its generation.
         rights: digest of the package's documents; empty if it is not known.
     """
-    (first, last), serial = certificates.period(certificate), certificate.serial_number
-    by, key = issuer_of(issuer), certificates.fingerprint(certificate)
-    return IssuedCertificate(by, serial, authority, name, generation, first, last, key, rights)
+    serial, key = certificate.serial_number, certificates.fingerprint(certificate)
+    period = certificates.period(certificate)
+    return IssuedCertificate(issuer, serial, authority, name, generation, *period, key, rights)
 
 
 def _restored(session: Session, *, lossy: bool) -> Register:
@@ -214,7 +209,7 @@ def _found(session: Session, names: Collection[str]) -> Iterator[IssuedCertifica
         for authority, issuer in issuers:
             if certificate is not None and certificates.is_issued_by(certificate, issuer):
                 generation = session.issuance(name).generation if name in known else 0
-                yield entry_of(certificate, issuer, authority, name, generation)
+                yield entry_of(certificate, issuer_of(issuer), authority, name, generation)
                 break
 
 

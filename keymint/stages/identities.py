@@ -219,7 +219,7 @@ def sign(
             raise KeymintError.of(conflicts)
         artifacts |= own
     identity, generation, rights = package.identity, package.issuance.generation, digest_files(documents)
-    entry = entry_of(loaded, issuer.certificate, identity.issuer, package.name, generation, rights)
+    entry = entry_of(loaded, issuer_of(issuer.certificate), identity.issuer, package.name, generation, rights)
     return artifacts, entry, warnings
 
 

@@ -254,11 +254,7 @@ def label_enclave(
 
 
 def _answers(
-    transport: Transport,
-    enclaves: Sequence[InstalledEnclave],
-    edges: Iterable[Edge],
-    tier: Tier,
-    unanswered: deque[Edge],
+    transport: Transport, enclaves: Sequence[InstalledEnclave], edges: Iterable[Edge], tier: Tier, pending: deque[Edge]
 ) -> Iterator[tuple[Edge, Verdict]]:
     """Yield the verdicts of a transport; it must answer each edge once, in order.
 
@@ -267,22 +263,22 @@ def _answers(
         enclaves: the enclaves of all subjects of the edges.
         edges: edges to decide.
         tier: how deep to ask.
-        unanswered: receives the edges that it has not answered yet.
+        pending: receives the edges that it has not answered yet.
 
     Raises:
         KeymintError: it skips an edge, or answers another one; see also :meth:`keymint.api.Transport.label`.
     """
     waiting = iter(edges)
 
-    def pending() -> Iterator[Edge]:
+    def asked() -> Iterator[Edge]:
         for edge in waiting:
-            unanswered.append(edge)
+            pending.append(edge)
             yield edge
 
-    for edge, verdict in transport.label(enclaves, pending(), tier):
-        if not unanswered or unanswered.popleft() != edge:
+    for edge, verdict in transport.label(enclaves, asked(), tier):
+        if not pending or pending.popleft() != edge:
             message = "the transport answered another edge than the one it was asked"
             raise KeymintError(message, code="transport-answers")
         yield edge, verdict
-    if unanswered or next(waiting, None) is not None:
+    if pending or next(waiting, None) is not None:
         raise KeymintError("the transport left edges unanswered", code="transport-answers")

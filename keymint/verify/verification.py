@@ -60,20 +60,20 @@ class VerificationPart:
         scope: the scope of these subjects.
         policy: the policy, at least about these subjects.
         graph: a graph with these subjects and the objects to ask about; None to ask about the objects of the policy.
-        common: objects of the policy that every subject is asked about, if there is no graph.
-        transports: names of the models.
         asking: how to ask.
         copies: the enclaves.
+        common: objects of the policy that every subject is asked about, if there is no graph.
+        transports: names of the models.
         files: the files of the copies by relative path, for a machine that does not have them.
     """
 
     scope: VerificationScope
     policy: LoadedPolicy
     graph: Graph | None
-    common: tuple[Object, ...]
-    transports: tuple[str, ...]
     asking: Asking
     copies: Copies
+    common: tuple[Object, ...] = ()
+    transports: tuple[str, ...] = ()
     files: Mapping[str, bytes] | None = None
 
     def rows(self) -> tuple[tuple[str, ...], EdgeRows]:
@@ -138,33 +138,23 @@ def verify_part(plugins: Plugins, part: VerificationPart) -> tuple[bytes, tuple[
 
 
 def verified_in_parts(
-    pool: Pool,
-    plugins: Plugins,
-    scope: VerificationScope,
-    policy: LoadedPolicy,
-    graph: Graph | None,
-    copies: Copies,
-    transports: Mapping[str, Transport],
-    asking: Asking,
+    pool: Pool, plugins: Plugins, whole: VerificationPart, transports: Mapping[str, Transport]
 ) -> Verification:
     """Verify one build type on copies of the enclaves; models are asked on a pool if that is worth it.
 
     Args:
         pool: where models are asked.
         plugins: the installed plugins.
-        scope: the enclaves.
-        policy: the policy.
-        graph: a graph with the subjects and objects to ask about; None to ask about the objects of the policy.
-        copies: copies of the enclaves.
+        whole: all subjects to verify, without common objects and models.
         transports: the transports, by name.
-        asking: how to ask.
 
     Raises:
         KeymintError: a transport does not work, or the pool is lost.
     """
+    scope, policy, graph, asking = whole.scope, whole.policy, whole.graph, whole.asking
     modelled = tuple(name for name, each in transports.items() if each.usable().names_rules)
     common = () if graph else common_objects(policy, scope)
-    whole = VerificationPart(scope, policy, graph, common, modelled, asking, copies)
+    whole = replace(whole, common=common, transports=modelled)
     subjects, rows = whole.rows()
     objects = len(graph.objects) if graph else len(common)
     divided = pool.parts(subjects, -(-LEAST // max(1, objects * len(modelled))))

@@ -34,7 +34,7 @@ from keymint.verify.copies import enclave_copies
 from keymint.verify.mismatch import Mismatch, Tally
 from keymint.verify.scope import VerificationScope, installed_scopes, selective, subjects_of_graph
 from keymint.verify.transports import choose
-from keymint.verify.verification import Verification, verified_in_parts
+from keymint.verify.verification import Verification, VerificationPart, verified_in_parts
 from keymint.workspace.policy_loading import load_policy
 
 _PAGE = "index.html"
@@ -112,10 +112,8 @@ def verify(
                 Tier(tier), limit, lambda name, subject: advance(Step(name, subject, Action.UNCHANGED)), tally
             )
             with run.pool() as pool:
-                verified = [
-                    verified_in_parts(pool, run.plugins, scopes[name], policy, system, copies, group, asking)
-                    for name, group in groups.items()
-                ]
+                parts = {name: VerificationPart(each, policy, system, asking, copies) for name, each in scopes.items()}
+                verified = [verified_in_parts(pool, run.plugins, parts[name], group) for name, group in groups.items()]
         subjects = tuple(sorted({subject for each in verified for subject in each.subjects}))
         outcomes = [outcome for each in verified for outcome in each.comparisons]
         edges = sum(len(each.labels) for each in verified)
@@ -193,10 +191,7 @@ def _write(run: Run, verified: Sequence[Verification], sarif: Path | None, junit
 
 
 def labelled_edges(
-    title: str,
-    verified: Verification,
-    typed: Callable[[str], str],
-    common: Callable[[Origin], bool] = lambda _: False,
+    title: str, verified: Verification, typed: Callable[[str], str], common: Callable[[Origin], bool] = lambda _: False
 ) -> LabelledGraph:
     """Return the graph with the labels of policy and transports.
 
