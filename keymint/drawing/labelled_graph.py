@@ -195,15 +195,35 @@ MOST_EDGES = 250_000
 """Maximum number of edges to draw: about 250 MB."""
 
 
+@dataclass(frozen=True, slots=True)
+class DrawnPolicy:
+    """A policy to draw, or to label a graph by.
+
+    Attributes:
+        loaded: the policy.
+        name: what a title calls it.
+        typed: returns a path as the user would type it.
+        common: returns True for the origin of a rule that every node includes.
+    """
+
+    loaded: LoadedPolicy
+    name: str
+    typed: Callable[[str], str] = str
+    common: Callable[[Origin], bool] = lambda _: False
+
+    def labelled(self, decided: Iterable[tuple[Edge, PolicyDecision]]) -> Iterator[LabelledEdge]:
+        """Yield edges that the policy decided on with its labels."""
+        typed = functools.cache(self.typed)
+        labels: dict[PolicyDecision, Label] = {}  # one object for all equal labels saves memory
+        for edge, decision in decided:
+            if decision not in labels:
+                labels[decision] = policy_label(decision, typed)
+            shared = decision.allowed and decision.where is not None and self.common(decision.where)
+            yield LabelledEdge(edge, labels[decision], (), decision.audit, shared)
+
+
 def label_graph(
-    title: str,
-    policy: LoadedPolicy,
-    graph: Graph,
-    subjects: Collection[str],
-    *,
-    everything: bool = False,
-    typed: Callable[[str], str] = str,
-    common: Callable[[Origin], bool] = lambda _: False,
+    title: str, policy: DrawnPolicy, graph: Graph, subjects: Collection[str], *, everything: bool = False
 ) -> LabelledGraph:
     """Return a graph, or its completion, with the labels of a policy.
 
@@ -213,8 +233,6 @@ def label_graph(
         graph: the graph, e.g. of a running system.
         subjects: the subjects to keep; all objects are kept.
         everything: label the completion: every subject with every permission on every object.
-        typed: returns a path as the user would type it.
-        common: returns True for the origin of a rule that every node includes.
 
     Raises:
         KeymintError: the completion is too large to be drawn, or see :meth:`keymint.api.LoadedPolicy.decide`.
@@ -222,18 +240,12 @@ def label_graph(
     if everything:
         _refuse_large(len(subjects) * sum(len(LABELLED[object_.kind]) for _, object_ in graph.objects))
     edges = complete(replace(graph, subjects=tuple(subjects))) if everything else graph.edges
-    decided = ((edge, policy.decide(edge)) for edge in edges if edge.subject in subjects)
-    return LabelledGraph.of(title, _labelled(decided, typed, common), subjects)
+    decided = ((edge, policy.loaded.decide(edge)) for edge in edges if edge.subject in subjects)
+    return LabelledGraph.of(title, policy.labelled(decided), subjects)
 
 
 def policy_graph(
-    title: str,
-    policy: LoadedPolicy,
-    subjects: Sequence[str] = (),
-    *,
-    everything: bool = False,
-    typed: Callable[[str], str] = str,
-    common: Callable[[Origin], bool] = lambda _: False,
+    title: str, policy: DrawnPolicy, subjects: Sequence[str] = (), *, everything: bool = False
 ) -> LabelledGraph:
     """Return the graph of a policy.
 
@@ -245,22 +257,21 @@ def policy_graph(
         policy: the policy.
         subjects: the subjects to draw; empty for all that it names exactly.
         everything: also draw denials without a matching rule.
-        typed: returns a path as the user would type it.
-        common: returns True for the origin of a rule that every node includes.
 
     Raises:
         KeymintError: the policy names no subject exactly, no profile applies to a subject, or the graph is too large to
             be drawn.
     """
-    chosen = tuple(subjects) or policy.subjects()
+    loaded = policy.loaded
+    chosen = tuple(subjects) or loaded.subjects()
     if not chosen:
         raise no_subject("select subjects with --subject, e.g. --subject /robot1/camera")
     names: set[Object] = set()
     asked: dict[Edge, Object] = {}  # edges to expressions, each with the object to decide about
     for subject in chosen:
-        rules = policy.rules(subject)
+        rules = loaded.rules(subject)
         if rules is None:
-            hint = did_you_mean(subject, policy.subjects(), "attach a profile to it")
+            hint = did_you_mean(subject, loaded.subjects(), "attach a profile to it")
             raise KeymintError(f"no profile of the policy applies to {subject}", help=hint, code="subject-unknown")
         for rule in rules.rules:
             partitions = tuple(sorted(rule.partitions))
@@ -274,10 +285,10 @@ def policy_graph(
     if everything:
         _refuse_large(len(chosen) * sum(len(LABELLED[object_.kind]) for object_ in names))
     decided = itertools.chain(
-        _edges_to_names(policy, chosen, sorted(names), everything=everything),
-        ((edge, policy.decide(replace(edge, object=witness))) for edge, witness in asked.items()),
+        _edges_to_names(loaded, chosen, sorted(names), everything=everything),
+        ((edge, loaded.decide(replace(edge, object=witness))) for edge, witness in asked.items()),
     )
-    edges = list(_labelled(itertools.islice(decided, MOST_EDGES + 1), typed, common))
+    edges = list(policy.labelled(itertools.islice(decided, MOST_EDGES + 1)))
     _refuse_large(len(edges))
     return LabelledGraph.of(title, edges, chosen, patterns={edge.object for edge in asked})
 
@@ -301,18 +312,6 @@ def _edges_to_names(
             completes = everything and permission in LABELLED[object_.kind]
             if decision.allowed or decision.where is not None or completes:
                 yield edge, decision
-
-
-def _labelled(
-    decided: Iterable[tuple[Edge, PolicyDecision]], typed: Callable[[str], str], common: Callable[[Origin], bool]
-) -> Iterator[LabelledEdge]:
-    typed = functools.cache(typed)
-    labels: dict[PolicyDecision, Label] = {}  # one object for all equal labels saves memory
-    for edge, decision in decided:
-        if decision not in labels:
-            labels[decision] = policy_label(decision, typed)
-        shared = decision.allowed and decision.where is not None and common(decision.where)
-        yield LabelledEdge(edge, labels[decision], (), decision.audit, shared)
 
 
 def policy_label(decision: PolicyDecision, typed: Callable[[str], str]) -> Label:

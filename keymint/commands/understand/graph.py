@@ -3,15 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import click
 
-from comarmor.errors import Diagnostic, Origin
-from comarmor.values import dataclass
-from keymint.api import LoadedPolicy, graph_json
+from comarmor.errors import Diagnostic
+from keymint.api import graph_json
 from keymint.api.graph import EdgeOutcome, Graph
 from keymint.command_line.named_files import deliver, read_input, source_files
 from keymint.command_line.named_policies import Policies, library_rules, workspace_library_rules
@@ -32,6 +30,7 @@ from keymint.command_line.verb import (
 )
 from keymint.drawing.appearance import Theme
 from keymint.drawing.labelled_graph import (
+    DrawnPolicy,
     LabelledEdge,
     LabelledGraph,
     choose_subjects,
@@ -44,21 +43,6 @@ from keymint.errors import KeymintError, usage_error
 from keymint.workspace.policy_loading import load_policy
 
 FORMATS = ("svg", "png", "dot", "html")
-
-
-@dataclass(frozen=True, slots=True)
-class _DrawnPolicy:
-    """A policy to draw, or to label a graph by.
-
-    Attributes:
-        loaded: the policy.
-        name: what a title calls it.
-        common: returns whether the rule at a place is one that every node includes.
-    """
-
-    loaded: LoadedPolicy
-    name: str
-    common: Callable[[Origin], bool]
 
 
 @verb(dry_run=True)
@@ -122,9 +106,9 @@ def graph(
     chosen_format = _format(output, kind)
     policies = Policies(run, policy_options)
 
-    def policy_at(path: Path) -> _DrawnPolicy:
+    def policy_at(path: Path) -> DrawnPolicy:
         loaded = policies.at(run.setting.cwd / path, str(path))
-        return _DrawnPolicy(loaded, path.resolve().stem, library_rules(run.setting.cwd, policies.shipped()))
+        return DrawnPolicy(loaded, path.resolve().stem, run.typed, library_rules(run.setting.cwd, policies.shipped()))
 
     system, diagnostics = _graph(run, source, source_type) if source else (None, ())
     if system is None:
@@ -135,19 +119,18 @@ def graph(
             )
         drawn = policy_at(source) if source else _policy_of_workspace(run)
         below = choose_subjects(drawn.loaded.subjects(), (), namespaces) if namespaces else ()
-        labelled = policy_graph(
-            title or drawn.name,
-            drawn.loaded,
-            tuple(sorted({*named, *below})),
-            everything=everything,
-            typed=run.typed,
-            common=drawn.common,
-        )
+        labelled = policy_graph(title or drawn.name, drawn, tuple(sorted({*named, *below})), everything=everything)
     else:
         labelling = policy_at(policy) if policy is not None else None
         subjects = choose_subjects(system.subjects, named, namespaces)
         name = Path(source or "").stem + (f", labelled by {labelling.name}" if labelling else "")
-        labelled = _labelled(run, title or name, system, subjects, labelling, everything=everything)
+        if labelling is not None:
+            labelled = label_graph(title or name, labelling, system, subjects, everything=everything)
+        elif everything:
+            raise usage_error("--all needs labels", "name the policy: --policy PATH")
+        else:
+            unlabelled = LabelledGraph.of(title or name, map(LabelledEdge, system.edges), system.subjects)
+            labelled = select_edges(unlabelled, subjects=subjects)
     if only:
         labelled = select_edges(labelled, only={EdgeOutcome.ALLOW if only == "allowed" else EdgeOutcome.DENY})
     content = _drawn(run, labelled, chosen_format, drawing, scale)
@@ -189,21 +172,9 @@ def _graph(run: Run, source: Path, source_type: str | None) -> tuple[Graph | Non
     return reader.interpret(capture.graph, fold=True), capture.diagnostics
 
 
-def _policy_of_workspace(run: Run) -> _DrawnPolicy:
+def _policy_of_workspace(run: Run) -> DrawnPolicy:
     session = run.inputs(run.workspace()).session()
-    return _DrawnPolicy(load_policy(session), session.profile.name, workspace_library_rules(session))
-
-
-def _labelled(
-    run: Run, title: str, graph: Graph, subjects: tuple[str, ...], policy: _DrawnPolicy | None, *, everything: bool
-) -> LabelledGraph:
-    if policy is not None:
-        return label_graph(
-            title, policy.loaded, graph, subjects, everything=everything, typed=run.typed, common=policy.common
-        )
-    if everything:
-        raise usage_error("--all needs labels", "name the policy: --policy PATH")
-    return select_edges(LabelledGraph.of(title, map(LabelledEdge, graph.edges), graph.subjects), subjects=subjects)
+    return DrawnPolicy(load_policy(session), session.profile.name, run.typed, workspace_library_rules(session))
 
 
 def _drawn(run: Run, labelled: LabelledGraph, kind: str, options: DrawingOptions, scale: float) -> bytes:

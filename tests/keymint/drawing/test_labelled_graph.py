@@ -4,16 +4,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from keymint_ros2_comarmor import policy_type
 
 from comarmor.errors import Origin
-from keymint.api import LoadedPolicy, PolicySource
+from keymint.api import PolicySource
 from keymint.api.graph import ConfusionMatrix, Edge, EdgeOutcome, Graph, Object, complete
 from keymint.drawing import labelled_graph as room
 from keymint.drawing.labelled_graph import (
+    DrawnPolicy,
     LabelledGraph,
     choose_subjects,
     label_graph,
@@ -92,21 +94,21 @@ def rule(kind: str, permission: str, name: str, effect: str = "ALLOW", more: str
     return RULE.format(kind=kind, permission=permission, name=name, effect=effect, more=more)
 
 
-Load = Callable[..., LoadedPolicy]
+Load = Callable[..., DrawnPolicy]
 
 
 @pytest.fixture
 def load(tmp_path: Path) -> Load:
     """Load a policy of profiles: rules by attachment."""
 
-    def loaded(**profiles: str) -> LoadedPolicy:
+    def loaded(**profiles: str) -> DrawnPolicy:
         body = "".join(
             f'<profile name="{name}"><attachment>{name.replace("_", "/")}</attachment>\n{rules}</profile>\n'
             for name, rules in profiles.items()
         )
         path = tmp_path / "policy.xml"
         path.write_text(f"<profiles>\n{body}</profiles>\n")
-        return policy_type.load([PolicySource("p", path, Origin("p"))], None)
+        return DrawnPolicy(policy_type.load([PolicySource("p", path, Origin("p"))], None), "p")
 
     return loaded
 
@@ -165,7 +167,7 @@ def test_an_escaped_name_is_a_name(load: Load) -> None:
 
 def test_why_and_where(load: Load) -> None:
     policy = load(_a=rule("ros_topic", "ros_publish", "/t", more=' modifier="AUDIT"'))
-    (one,) = policy_graph("t", policy, typed=lambda file: Path(file).name).edges
+    (one,) = policy_graph("t", replace(policy, typed=lambda file: Path(file).name)).edges
     assert one.audit
     assert one.policy.where is not None
     assert (one.policy.where.file, one.policy.where.line) == ("policy.xml", 3)
