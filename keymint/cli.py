@@ -129,26 +129,22 @@ def main(arguments: list[str] | None = None) -> int:
     out, err = Output(sys.stdout), Output(sys.stderr, required=False)
     # Libraries that print use these streams, which report failures, too.
     with redirect_stdout(cast("TextIO", out)), redirect_stderr(cast("TextIO", err)):
-        return _run(given, out, err)
-
-
-def _run(given: Sequence[str], out: Output, err: Output) -> int:
-    try:
         try:
-            recalled = _recalled(given)
-            code = _carried_out(given) if recalled is None else recalled
-            out.flush()
-        except StoppedError as stop:
-            code = report_signal(given, stop.number)
-            out.flush()
-    except OutputError as error:
-        out.give_up()
-        if not error.broken_pipe:  # a reader that stops early, e.g. head, is not an error
-            err.write(f"keymint: error: standard output: {error}\n")
-        code = int(ExitCode.FAILURE)
-    settle()
-    err.flush()
-    return code
+            try:
+                recalled = _recalled(given)
+                code = _carried_out(given) if recalled is None else recalled
+                out.flush()
+            except StoppedError as stop:
+                code = report_signal(given, stop.number)
+                out.flush()
+        except OutputError as error:
+            out.give_up()
+            if not error.broken_pipe:  # a reader that stops early, e.g. head, is not an error
+                err.write(f"keymint: error: standard output: {error}\n")
+            code = int(ExitCode.FAILURE)
+        settle()
+        err.flush()
+        return code
 
 
 def _carried_out(given: Sequence[str]) -> int:
@@ -161,7 +157,10 @@ def _carried_out(given: Sequence[str]) -> int:
     except click.exceptions.Exit as end:
         return end.exit_code
     except click.ClickException as error:
-        return _fail(given, "usage", " ".join(error.format_message().split()), ExitCode.USAGE, _usage(error))
+        shown = io.StringIO()
+        error.show(shown)
+        in_words = printable_lines(shown.getvalue().rstrip("\n"))
+        return _fail(given, "usage", " ".join(error.format_message().split()), ExitCode.USAGE, in_words)
     except (KeyboardInterrupt, click.Abort):
         return report_signal(given, signal.SIGINT)
     except OutputError:
@@ -199,12 +198,6 @@ def report_signal(arguments: Sequence[str], number: int) -> int:
     return _fail(arguments, "interrupted", message, exit_code, f"keymint: {message}")
 
 
-def _usage(error: click.ClickException) -> str:
-    shown = io.StringIO()
-    error.show(shown)
-    return printable_lines(shown.getvalue().rstrip("\n"))
-
-
 def _fail(arguments: Sequence[str], code: str, message: str, exit_code: ExitCode, in_words: str) -> int:
     """Report an error outside of a verb, as JSON if ``--json`` was given.
 
@@ -232,7 +225,11 @@ def call_of(given: Sequence[str]) -> Call:
 
     plain = bool(os.environ.get("NO_COLOR")) or os.environ.get("TERM") == "dumb"
     colours = sys.stdout.isatty() and not plain, sys.stderr.isatty() and not plain
-    return Call(given, str(_current_folder()), colours, _now().timestamp(), time.time_ns(), Consulted(os.environ))
+    try:
+        folder = str(Path.cwd())
+    except OSError as error:
+        raise click.UsageError(f"the current directory is unusable: {error.strerror}; change to another one") from None
+    return Call(given, folder, colours, _now().timestamp(), time.time_ns(), Consulted(os.environ))
 
 
 def _recalled(given: Sequence[str]) -> int | None:
@@ -259,7 +256,9 @@ def _setting(given: Sequence[str]) -> Any:
     call = call_of(given)
     progress = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
     ask = _ask if sys.stdin is not None and sys.stdin.isatty() else None
-    return setting(call, Streams(sys.stdout, sys.stderr, *call.colours, progress=progress), ask, _read)
+    streams = Streams(sys.stdout, sys.stderr, *call.colours, progress=progress)
+    # The process may have been started without standard input.
+    return setting(call, streams, ask, lambda most: b"" if sys.stdin is None else sys.stdin.buffer.read(most))
 
 
 def setting(
@@ -302,11 +301,6 @@ def _ask(text: str) -> str:
         return ""
 
 
-def _read(most: int) -> bytes:
-    """Return at most so many bytes of standard input; none if the process was started without it."""
-    return b"" if sys.stdin is None else sys.stdin.buffer.read(most)
-
-
 def _cache() -> Path:
     """Return the cache directory of this user (XDG Base Directory Specification)."""
     named = os.environ.get("XDG_CACHE_HOME", "")
@@ -314,13 +308,6 @@ def _cache() -> Path:
         return (Path(named) if named.startswith("/") else Path("~/.cache").expanduser()) / "keymint"
     except RuntimeError:  # this user has no home directory
         return Path(f"/tmp/keymint-{os.getuid()}")  # noqa: S108 - its users check who owns it
-
-
-def _current_folder() -> Path:
-    try:
-        return Path.cwd()
-    except OSError as error:
-        raise click.UsageError(f"the current directory is unusable: {error.strerror}; change to another one") from None
 
 
 def _now() -> datetime:

@@ -53,31 +53,25 @@ def package_name(text: str) -> str:
         return ROOT
     name = text.removeprefix("/").rstrip("/")
     if not name:
-        raise KeymintError(f"{text!r} is not a name", help=_EXAMPLE, code="name-illegal")
+        raise _illegal(f"{text!r} is not a name", _EXAMPLE)
     if len(name) > MAX_NAME:
-        raise KeymintError(
-            f"the name {quote(name, 40)} has {len(name)} characters, the maximum is {MAX_NAME}", code="name-illegal"
-        )
+        raise _illegal(f"the name {quote(name, 40)} has {len(name)} characters, the maximum is {MAX_NAME}")
+    not_legal = f"{quote(text, 80)} is not a legal name:"
     for segment in name.split("/"):
         if not is_segment(segment):
-            raise KeymintError(
-                f"{quote(text, 80)} is not a legal name: in {quote(segment, 80)}, only letters, digits and '_' are "
-                "allowed, and no digit at the beginning",
-                help=_EXAMPLE,
-                code="name-illegal",
-            )
+            legal = "only letters, digits and '_' are allowed, and no digit at the beginning"
+            raise _illegal(f"{not_legal} in {quote(segment, 80)}, {legal}", _EXAMPLE)
         if segment.casefold() == RESERVED.casefold():
-            raise KeymintError(
-                f"{quote(text, 80)} is not a legal name: {segment!r} is reserved for the file that hides packages",
-                help="rename the subject",
-                code="name-reserved",
-            )
+            message = f"{not_legal} {segment!r} is reserved for the file that hides packages"
+            raise _illegal(message, "rename the subject", "name-reserved")
         if len(segment) > MAX_SEGMENT:
-            raise KeymintError(
-                f"the segment {quote(segment, 40)} has {len(segment)} characters, the maximum is {MAX_SEGMENT}",
-                code="name-illegal",
-            )
+            length = len(segment)
+            raise _illegal(f"the segment {quote(segment, 40)} has {length} characters, the maximum is {MAX_SEGMENT}")
     return name
+
+
+def _illegal(message: str, help_: str = "", code: str = "name-illegal") -> KeymintError:
+    return KeymintError(message, help=help_, code=code)
 
 
 def subject_list(subjects: Sequence[str]) -> str:
@@ -97,11 +91,8 @@ def refuse_case_collisions(names: Iterable[str]) -> None:
         for prefix in accumulate(name.split("/"), "{}/{}".format):
             other = seen.setdefault(prefix.casefold(), prefix)
             if other != prefix:
-                raise KeymintError(
-                    f"the names '/{other}' and '/{prefix}' differ only by case, and some file systems ignore it",
-                    help="rename one of them",
-                    code="name-collision",
-                )
+                message = f"the names '/{other}' and '/{prefix}' differ only by case, and some file systems ignore it"
+                raise _illegal(message, "rename one of them", "name-collision")
 
 
 def refuse_reserved(name: str, reserved: Iterable[str]) -> None:
@@ -116,11 +107,8 @@ def refuse_reserved(name: str, reserved: Iterable[str]) -> None:
     """
     first = name.split("/", maxsplit=1)[0]
     if first.casefold() in {each.casefold() for each in reserved}:
-        raise KeymintError(
-            f"'/{name}' is not allowed in the layout of this workspace: {first!r} is a folder of keystores",
-            help="rename the subject",
-            code="name-reserved",
-        )
+        message = f"'/{name}' is not allowed in the layout of this workspace: {first!r} is a folder of keystores"
+        raise _illegal(message, "rename the subject", "name-reserved")
 
 
 def typed_subject(text: str) -> str:

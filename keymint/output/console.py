@@ -190,7 +190,9 @@ class Console:
                         self.line(f"            {report.workspace.shown(change.folder / file)} (removed)")
         if report.steps:
             if not any(step.writes() for step in report.steps):
-                self.line(f"nothing to do: {_counted(report.steps)} up to date")
+                packages = {each.package for each in report.steps if each.package and each.stage != "authorities"}
+                what = quantity(len(packages), "package") if packages else "everything"
+                self.line(f"nothing to do: {what} up to date")
             else:
                 counts = Counter(str(step.action) for step in report.steps)
                 would = "would be " if report.dry_run else ""
@@ -216,11 +218,6 @@ def _cell(value: Any) -> str:
         case tuple() | list():
             return " ".join(map(_cell, value))
     return one_line(str(value))
-
-
-def _counted(steps: Any) -> str:
-    packages = {step.package for step in steps if step.package and step.stage != "authorities"}
-    return quantity(len(packages), "package") if packages else "everything"
 
 
 def _gain(sizes: Sequence[DocumentSize]) -> str:

@@ -100,7 +100,7 @@ def markdown(
             yield "| | permission | objects | rule |"
             yield "|---|---|---|---|"
         for change in own:
-            sign = _verb(change)
+            sign = ("perhaps " if change.unknown else "") + ("gains" if change.gains else "loses")
             objects = object_text(change, _code)
             where = _code(place(change.where)) if change.where else ""
             yield f"| {sign} | {permission_text(change, _code).rstrip()} | {objects} | {where} |"
@@ -127,11 +127,6 @@ def _folded(
         names = [name for place in (where, *where.chain) if (name := library(place.file))]
         rules.setdefault(names[-1], set()).add(where.spot)
     return own, {name: len(spots) for name, spots in rules.items()}
-
-
-def _verb(change: PermissionChange) -> str:
-    verb = "gains" if change.gains else "loses"
-    return f"perhaps {verb}" if change.unknown else verb
 
 
 def _code(text: str) -> str:

@@ -74,31 +74,26 @@ def sarif(
     level = {} if default_level is None else {"defaultConfiguration": {"level": _LEVELS[default_level]}}
     descriptors = [{"id": rule, "shortDescription": {"text": text}} | level for rule, text in described.items()]
     index = {rule: number for number, rule in enumerate(described)}
+    found: list[dict[str, Any]] = []
+    for each in results:
+        result: dict[str, Any] = {
+            "ruleId": each.rule,
+            "ruleIndex": index[each.rule],
+            "level": _LEVELS[each.severity],
+            "message": {"text": each.message},
+        }
+        if each.where:
+            result["locations"] = [_location(each.where, typed)]
+            result["relatedLocations"] = [
+                {**_location(where, typed), "message": {"text": message}} for where, message in each.related
+            ]
+        if each.fingerprints:
+            result["partialFingerprints"] = dict(each.fingerprints)
+        found.append(result)
     driver = {"name": tool, "version": __version__, "semanticVersion": __version__, "rules": descriptors}
-    log = {
-        "tool": {"driver": driver},
-        "columnKind": "unicodeCodePoints",
-        "results": [_result(each, index[each.rule], typed) for each in results],
-    }
+    log = {"tool": {"driver": driver}, "columnKind": "unicodeCodePoints", "results": found}
     document = {"$schema": _SCHEMA, "version": "2.1.0", "runs": [log]}
     return (json.dumps(document, indent=1, ensure_ascii=True) + "\n").encode()
-
-
-def _result(each: SarifResult, index: int, typed: Callable[[str], str]) -> dict[str, Any]:
-    result: dict[str, Any] = {
-        "ruleId": each.rule,
-        "ruleIndex": index,
-        "level": _LEVELS[each.severity],
-        "message": {"text": each.message},
-    }
-    if each.where:
-        result["locations"] = [_location(each.where, typed)]
-        result["relatedLocations"] = [
-            {**_location(where, typed), "message": {"text": message}} for where, message in each.related
-        ]
-    if each.fingerprints:
-        result["partialFingerprints"] = dict(each.fingerprints)
-    return result
 
 
 def _location(where: Origin, typed: Callable[[str], str]) -> dict[str, Any]:

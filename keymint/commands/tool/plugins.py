@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -34,7 +33,7 @@ def plugins(run: Run) -> Report:
     columns = {"GROUP": "group", "NAME": "name", "VERSION": "version", "DISTRIBUTION": "distribution"}
     run.console.table(columns | {"LOADS": "usable", "FROM": "location"}, listed)
     installed = InstalledPackages(run.setting.environment)
-    packages = [
+    packages: list[dict[str, Any]] = [
         {
             "name": each.name,
             "folder": path_text(str(each.folder)),
@@ -46,21 +45,15 @@ def plugins(run: Run) -> Report:
     if packages:
         run.console.line("")
         columns = {"PACKAGE": "name", "SHIPS": "ships", "HIDDEN BY": "hidden_by", "FROM": "from"}
-        run.console.table(columns, [each | _shown(run, each) for each in packages])
-    result = {"plugins": listed, "packages": packages}
+        rows = []
+        for each in packages:
+            files = each["files"]
+            ships = "(unreadable)" if files is None else " ".join(files) or " "  # an empty list is no missing one
+            rows.append(each | {"ships": ships, "from": run.typed(each["folder"])})
+        run.console.table(columns, rows)
     exit_code = ExitCode.FAILURE if diagnostics else ExitCode.DONE
-    return run.report(result, [*diagnostics, *map(_relative, installed.relative_prefixes)], exit_code)
-
-
-def _shown(run: Run, package: Mapping[str, Any]) -> dict[str, str]:
-    files = package["files"]
-    ships = "(unreadable)" if files is None else " ".join(files) or " "  # an empty list is no missing one
-    return {"ships": ships, "from": run.typed(package["folder"])}
-
-
-def _relative(prefix: str) -> Diagnostic:
-    message = f"{SEARCH_PATH} has the relative path {quote(prefix, 200)}: what packages ship is not looked up there"
-    help_ = (
-        "write an absolute path; policies that include what a package ships there, or in a later prefix, are refused"
-    )
-    return Diagnostic.warning("package-prefix", message, None, help_)
+    for prefix in installed.relative_prefixes:
+        message = f"{SEARCH_PATH} has the relative path {quote(prefix, 200)}: what packages ship is not looked up there"
+        refused = "policies that include what a package ships there, or in a later prefix, are refused"
+        diagnostics.append(Diagnostic.warning("package-prefix", message, None, f"write an absolute path; {refused}"))
+    return run.report({"plugins": listed, "packages": packages}, diagnostics, exit_code)

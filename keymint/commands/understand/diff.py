@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from itertools import chain
 from pathlib import Path
@@ -60,7 +59,12 @@ def diff(
     with ExitStack() as stack:
         before, after = (_loaded(run, policies, text, stack) for text in (old, new))
         differences = compare(before, after, QueryBudget(budget))
-        library = _libraries(policies, [text for text in (old, new) if not is_revision(text, run.setting.cwd)])
+        paths = [Path(text) for text in (old, new) if not is_revision(text, run.setting.cwd)]
+        libraries = [library_name, *map(policies.library, paths)]
+
+    def library(file: str) -> str | None:
+        return next((name for each in libraries if (name := each(file))), None)
+
     if kind == "markdown":
         lines = markdown(differences, run.place, library, (old, new))
     else:
@@ -69,12 +73,6 @@ def diff(
     result = {"equivalent": not differences, "subjects": differences_json(differences, run.typed)}
     unknown = any(change.unknown for subject in differences for change in subject.changes)
     return run.report(result, [_UNKNOWN] if unknown else [], findings_if(has_gains(differences)))
-
-
-def _libraries(policies: Policies, paths: Sequence[str]) -> Callable[[str], str | None]:
-    """Return a function from a file to its name in the library of any of some policies, or None."""
-    libraries = [library_name, *(policies.library(Path(path)) for path in paths)]
-    return lambda file: next((name for library in libraries if (name := library(file))), None)
 
 
 def _loaded(run: Run, policies: Policies, text: str, stack: ExitStack) -> LoadedPolicy:

@@ -81,7 +81,10 @@ def fmt(
     if _STANDARD in paths and not check and diff is None:
         run.console.document(files[0].after)
     elif diff is None:
-        _show(run, files, changed, written=writes)
+        if writes or run.dry_run:
+            run.console.lines(f"{each.name} {'written' if writes else 'would be written'}" for each in changed)
+        other = f", {len(changed)} not" + " before" * writes if changed else ""
+        run.console.line(f"{quantity(len(files), 'file')}: {len(files) - len(changed)} in canonical form{other}")
     result: dict[str, Any] = {
         "files": [{"file": each.name, "changed": each.changes} for each in files],
         "written": [each.name for each in changed] if writes else [],
@@ -91,13 +94,6 @@ def fmt(
     findings = [_finding(each) for each in changed] if check else []
     report = run.report(result, [*findings, *skipped], findings_if(findings), workspace=run.known_workspace)
     return replace(report, dry_run=not writes)
-
-
-def _show(run: Run, files: Sequence[_Formatted], changed: Sequence[_Formatted], *, written: bool) -> None:
-    if written or run.dry_run:
-        run.console.lines(f"{each.name} {'written' if written else 'would be written'}" for each in changed)
-    other = f", {len(changed)} not" + " before" * written if changed else ""
-    run.console.line(f"{quantity(len(files), 'file')}: {len(files) - len(changed)} in canonical form{other}")
 
 
 def _finding(file: _Formatted) -> Diagnostic:

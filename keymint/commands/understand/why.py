@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from comarmor.errors import Diagnostic, Origin
-from keymint.api import DomainRange, Endpoint, Tier, Verdict
+from keymint.api import DomainRange, Endpoint, Tier
 from keymint.api.graph import LABELLED
 from keymint.command_line.options import kind_option, transport_option
 from keymint.command_line.verb import Report, Run, argument, findings_if, option, verb
@@ -139,20 +139,16 @@ def _labels(explanation: Explanation, place: Place) -> Iterator[str]:
         yield "not installed ('keymint status' shows whether it waits for 'keymint install', or was revoked)"
     together: dict[tuple[str, str], list[str]] = {}
     for name, label in explanation.labels.items():
-        deviation = f"; deviates from the standard: {label.verdict.deviation}" if label.verdict.deviation else ""
+        verdict = label.verdict
+        decision = "allowed in part" if verdict.partial else "allowed" if verdict.allowed else "denied"
+        deviation = f"; deviates from the standard: {verdict.deviation}" if verdict.deviation else ""
         reason = f"{place(label.document)}: {label.reason or 'no reason is given'}{deviation}"
-        together.setdefault((_decision(label.verdict), reason), []).append(name)
+        together.setdefault((decision, reason), []).append(name)
     for (decision, reason), names in together.items():
         yield f"{decision} by {enumeration(names)} ({reason})"
     for build_type, unasked in explanation.unasked.items():
         wanted = explanation.edge.object
         yield f"not asked: {enumeration(unasked)} ({build_type} has no name for the {wanted.kind} {wanted.name!r})"
-
-
-def _decision(verdict: Verdict) -> str:
-    if verdict.partial:
-        return "allowed in part"
-    return "allowed" if verdict.allowed else "denied"
 
 
 def _document(explanation: Explanation, typed: Callable[[str], str]) -> dict[str, Any]:
