@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator
 from functools import cache, lru_cache
-from itertools import cycle
+from itertools import cycle, takewhile
 
 from comarmor.errors import Origin
 from comarmor.patterns.glob import Glob, left_quotient, literal, normalise, parse, units
@@ -158,12 +158,8 @@ def fit_pattern(pattern: Glob, shape: Glob, namespace: Glob, name: Glob, *, wide
 
 def _common_prefix(one: _Tokens, other: _Tokens) -> int:
     """Return the length of the common literal prefix of two patterns."""
-    count = 0
-    for token, token2 in zip(one, other, strict=False):
-        if token != token2 or not isinstance(token, str):
-            break
-        count += 1
-    return count
+    pairs = zip(one, other, strict=False)
+    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1] and isinstance(pair[0], str), pairs))
 
 
 def _surely_disjoint(one: _Tokens, other: _Tokens) -> bool:

@@ -87,8 +87,7 @@ def _unaccepted_report(run: Run, error: UnacceptedPackagesError) -> Report:
     """Return the report of a verb that met files of packages that nobody accepted, and show what they change."""
     # Few runs need the comparison, and it takes time to import.
     from keymint.analysis.policy_diff import diff_policies  # noqa: PLC0415
-    from keymint.output.differences import as_text, summary  # noqa: PLC0415
-    from keymint.output.json import differences_json  # noqa: PLC0415
+    from keymint.output.differences import as_text, differences_json, summary  # noqa: PLC0415
 
     files = [
         {"package": each.package, "path": each.path, "accepted": accepted or None, "shipped": each.sha256}

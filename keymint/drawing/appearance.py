@@ -12,8 +12,9 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
+from itertools import accumulate
 
 from comarmor.regex import lazy_regex
 from comarmor.text import one_line
@@ -73,22 +74,16 @@ def shorten(text: str, longest: int = _LONGEST) -> str:
         return text
     head = (longest - 1) // 3
     words = _WORD.findall(text)
-    end = _fitting(reversed(words), longest - 1 - head)
+    end = _fitting(words[::-1], longest - 1 - head)
     if not end:
         return f"{text[:head]}…{text[len(text) - (longest - 1 - head) :]}"
     begin = _fitting(words, longest - 1 - sum(map(len, end)))
     return f"{''.join(begin)}…{''.join(reversed(end))}"
 
 
-def _fitting(words: Iterable[str], room: int) -> Sequence[str]:
+def _fitting(words: Sequence[str], room: int) -> Sequence[str]:
     """Return the first words that together have at most ``room`` characters."""
-    fitting: list[str] = []
-    for word in words:
-        room -= len(word)
-        if room < 0:
-            break
-        fitting.append(word)
-    return fitting
+    return [word for word, end in zip(words, accumulate(map(len, words)), strict=True) if end <= room]
 
 
 def columns(text: str) -> int:

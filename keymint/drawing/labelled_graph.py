@@ -125,12 +125,9 @@ class LabelledGraph:
         counts = Counter(
             one.outcome(transport) for one in self.edges if one.policy is not None and one.transports[transport]
         )
-        return ConfusionMatrix(
-            counts[EdgeOutcome.ALLOW],
-            counts[EdgeOutcome.FALSE_NEGATIVE],
-            counts[EdgeOutcome.FALSE_POSITIVE],
-            counts[EdgeOutcome.DENY],
-        )
+        allowed, denied = EdgeOutcome.ALLOW, EdgeOutcome.DENY
+        wrong = (counts[EdgeOutcome.FALSE_NEGATIVE], counts[EdgeOutcome.FALSE_POSITIVE])
+        return ConfusionMatrix(counts[allowed], *wrong, counts[denied])
 
 
 def namespace(name: str) -> str:

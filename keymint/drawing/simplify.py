@@ -11,6 +11,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from enum import StrEnum
+from itertools import islice
 
 from comarmor.text import one_line, quantity
 from comarmor.values import dataclass
@@ -196,12 +197,7 @@ def shown_edges(edges: Sequence[LabelledEdge], options: DrawingOptions) -> tuple
     if len(edges) <= options.limit:
         return tuple(edges)
     priorities = {one: priority(one, options.transport) for one in edges}
-    room = max(0, options.limit - sum(each <= EXPLICIT for each in priorities.values()))
-    kept = []
-    for one in edges:
-        if priorities[one] <= EXPLICIT:
-            kept.append(one)
-        elif priorities[one] < _DEFAULT_DENIAL and room:
-            room -= 1
-            kept.append(one)
-    return tuple(kept)
+    kept = {one for one in edges if priorities[one] <= EXPLICIT}
+    others = (one for one in edges if EXPLICIT < priorities[one] < _DEFAULT_DENIAL)
+    kept.update(islice(others, max(0, options.limit - len(kept))))
+    return tuple(one for one in edges if one in kept)

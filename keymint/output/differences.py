@@ -1,16 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The differences of two policies in words."""
+"""The differences of two policies in words, and as JSON, which ``docs/json.md`` describes."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 from comarmor.errors import Origin, Spot
 from comarmor.regex import lazy_regex
 from comarmor.text import quantity
 from keymint.analysis.permission_changes import PermissionChange
 from keymint.analysis.policy_diff import SubjectChanges
+from keymint.output.json import Typed, line_json
+from keymint.output.report import members
 
 
 def as_text(differences: Sequence[SubjectChanges], place: Callable[[Origin | None], str]) -> Iterator[str]:
@@ -143,3 +146,27 @@ def _escaped_pipe(match: re.Match[str]) -> str:
     """Return a pipe after backslashes of which the last escapes it, however many there are."""
     backslashes = match[1]
     return backslashes + "\\" * (1 + len(backslashes) % 2) + "|"
+
+
+def differences_json(differences: Sequence[SubjectChanges], typed: Typed) -> list[dict[str, Any]]:
+    """Return the differences of two policies as JSON data."""
+    return [
+        {
+            "subject": each.subject or None,
+            "stands_for": each.like or None,
+            "except": [*each.excluded],
+            "applies": {"before": each.before, "after": each.after},
+            "changes": [
+                {
+                    "change": "gains" if change.gains else "loses",
+                    **members(change, "kind", "permission"),
+                    "pattern": change.pattern,
+                    **members(change, "whole", "example"),
+                    "rule": line_json(change.where, typed),
+                    "unknown": change.unknown or None,
+                }
+                for change in each.changes
+            ],
+        }
+        for each in differences
+    ]

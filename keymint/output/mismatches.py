@@ -1,16 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Requests, rules and mismatches between policy and transports: in words, as diagnostics, for SARIF and JUnit."""
+"""Requests, rules and mismatches between policy and transports: in words, as diagnostics, and for other formats.
+
+These are SARIF, JUnit, and the JSON of ``keymint verify``, which ``docs/json.md`` describes.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
+from typing import Any
 
 from comarmor.errors import Diagnostic, Severity, citation
 from comarmor.text import quantity
 from keymint.api.graph import Edge, EdgeOutcome
 from keymint.ir import Rule
 from keymint.names import name_of
+from keymint.output.json import Typed, decision_json, edge_json, verdict_json
 from keymint.output.junit import JUnitCase
 from keymint.output.sarif import SarifResult
 from keymint.verify.mismatch import EdgeComparison, Mismatch
@@ -49,11 +54,11 @@ def mismatch_text(transports: Sequence[str], mismatch: Mismatch, *, at_rule: boo
     )
 
 
-def document_reason(mismatch: Mismatch) -> str:
+def document_reason(mismatch: Mismatch, typed: Typed = str) -> str:
     """Return the place in the enclave's document, the transport's reason, and the deviation that explains it."""
-    document, deviation = mismatch.document, mismatch.verdict.deviation
+    place, deviation = citation(typed(mismatch.document.file), mismatch.document.line), mismatch.verdict.deviation
     deviates = f"; deviates from the standard: {deviation}" if deviation else ""
-    return f"{citation(document.file, document.line)}: {mismatch.reason or 'no reason is given'}{deviates}"
+    return f"{place}: {mismatch.reason or 'no reason is given'}{deviates}"
 
 
 def verb_of(allowed: bool, *, many: bool = False) -> str:
@@ -176,3 +181,44 @@ def _case(comparison: EdgeComparison, subject: str) -> JUnitCase:
     ]
     failure = "verify", f"{quantity(count, 'mismatch')} between policy and transport"
     return replace(case, failure=failure, details="\n".join(lines) or "not listed: there are too many mismatches")
+
+
+# -- as JSON -----------------------------------------------------------------------------------------------------------
+
+
+def comparisons_json(
+    comparisons: Sequence[EdgeComparison], subjects: Sequence[str], edges: int, typed: Typed
+) -> dict[str, Any]:
+    """Return the result of ``keymint verify``.
+
+    Args:
+        comparisons: one for each transport.
+        subjects: the subjects that were verified.
+        edges: the number of edges that each transport was asked for.
+        typed: returns a path as the user would type it.
+    """
+    return {
+        "subjects": subjects,
+        "edges": edges,
+        "transports": [
+            {
+                "name": comparison.transport,
+                "version": comparison.version,
+                "tier": comparison.tier,
+                "confusion": asdict(comparison.confusion),
+                "findings": [_mismatch(mismatch, typed) for mismatch in comparison.findings],
+                "findings_omitted": comparison.omitted,
+            }
+            for comparison in comparisons
+        ],
+    }
+
+
+def _mismatch(mismatch: Mismatch, typed: Typed) -> dict[str, Any]:
+    return {
+        "error": mismatch.error,
+        "edge": edge_json(mismatch.edge),
+        "request": request_text(mismatch.edge),
+        "policy": decision_json(mismatch.policy, typed),
+        "transport": verdict_json(mismatch, typed),
+    }

@@ -23,9 +23,15 @@ from keymint.command_line.verb import FILE, Report, Run, findings_if, flag, opti
 from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph, policy_label, select_edges
 from keymint.drawing.simplify import DrawingOptions
 from keymint.life.workspace_register import with_enclaves
-from keymint.output.json import comparisons_json
 from keymint.output.junit import junit as junit_document
-from keymint.output.mismatches import SARIF_RULES, diagnostics, enumeration, junit_suites, sarif_results
+from keymint.output.mismatches import (
+    SARIF_RULES,
+    comparisons_json,
+    diagnostics,
+    enumeration,
+    junit_suites,
+    sarif_results,
+)
 from keymint.output.sarif import sarif as sarif_log
 from keymint.stages.proof.trust_anchors import differences
 from keymint.store.changes import Action, Step

@@ -19,8 +19,7 @@ from keymint.command_line.options import PolicyOptions, policy_options
 from keymint.command_line.verb import Report, Run, argument, findings_if, option, verb
 from keymint.host.git import at_revision, is_revision
 from keymint.output.console import Console
-from keymint.output.differences import as_text, markdown, summary
-from keymint.output.json import differences_json
+from keymint.output.differences import as_text, differences_json, markdown, summary
 
 _UNKNOWN = Diagnostic.warning(
     "diff-unknown",

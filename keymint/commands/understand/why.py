@@ -3,20 +3,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import click
 
-from comarmor.errors import Diagnostic, Origin
+from comarmor.errors import Diagnostic
 from keymint.api import DomainRange, Endpoint, Tier
 from keymint.api.graph import LABELLED
 from keymint.command_line.options import kind_option, transport_option
 from keymint.command_line.verb import Report, Run, argument, findings_if, option, verb
 from keymint.names import name_of
-from keymint.output.json import decision_json, edge_json, place_json, verdict_json
+from keymint.output.json import Typed, decision_json, edge_json, place_json, verdict_json
 from keymint.output.mismatches import (
     document_reason,
     enumeration,
@@ -32,8 +32,6 @@ from keymint.verify.why import Explanation, MatchedRule, explain, request, sourc
 from keymint.workspace.policy_loading import load_policy
 
 _PERMISSIONS = [permission for permissions in LABELLED.values() for permission in permissions]
-Place = Callable[[Origin | None], str]
-"""Returns a place as the user would type it."""
 
 
 @verb()
@@ -71,7 +69,7 @@ def why(
     explain_by = partial(models, run.plugins, distro=distro)
     explanation = explain(session, load_policy(session), package, edge, transports, explain_by)
 
-    run.console.lines(_lines(explanation, run.place))
+    run.console.lines(_lines(explanation, run))
     asked = (name_of(explanation.edge.subject),) if explanation.installed and explanation.packaged else ()
     diagnostics = [*differences(session, asked), *_mismatches(explanation, granted)]
     result = _document(explanation, run.typed)
@@ -95,15 +93,16 @@ def _mismatches(explanation: Explanation, granted: Sequence[DomainRange]) -> lis
     return [replace(each, help=help_) for each in found]
 
 
-def _lines(explanation: Explanation, place: Place) -> Iterator[str]:
+def _lines(explanation: Explanation, run: Run) -> Iterator[str]:
     """Yield the explanation in words, layer by layer."""
 
     def rule(each: MatchedRule) -> str:
         decides = "decides: " if each.where == explanation.policy.where else ""
-        return f"{decides}{rule_text(each.rule)} ({place(each.where)})"
+        return f"{decides}{rule_text(each.rule)} ({run.place(each.where)})"
 
     applied = [
-        f"{each.name!r} applies ({place(each.where)}){' AUDIT' if each.audit else ''}" for each in explanation.profiles
+        f"{each.name!r} applies ({run.place(each.where)}){' AUDIT' if each.audit else ''}"
+        for each in explanation.profiles
     ]
     none = f"none applies to {explanation.edge.subject}, so it has no permission"
     layers: dict[str, list[str]] = {"profiles": applied or [none]}
@@ -120,7 +119,7 @@ def _lines(explanation: Explanation, place: Place) -> Iterator[str]:
     if not explanation.packaged:
         layers["package"] = ["missing ('keymint create' creates it)"]
     layers["needs"] = [_need(*each) for each in explanation.needs]
-    layers["enclave"] = list(_labels(explanation, place))
+    layers["enclave"] = list(_labels(explanation, run.typed))
     in_domain = f" in domain {explanation.edge.domain}" if explanation.edge.domain else ""
     yield f"{request_text(explanation.edge)}{in_domain}: the policy {verb_of(explanation.policy.allowed)} it"
     for title, lines in layers.items():
@@ -133,7 +132,7 @@ def _need(endpoint: Endpoint, noun: str) -> str:
     return f"{endpoint.action} on the {noun} {endpoint.name!r}{partitions}"
 
 
-def _labels(explanation: Explanation, place: Place) -> Iterator[str]:
+def _labels(explanation: Explanation, typed: Typed) -> Iterator[str]:
     """Yield the decisions of transports, one line for all with the same reason."""
     if not explanation.installed:
         yield "not installed ('keymint status' shows whether it waits for 'keymint install', or was revoked)"
@@ -141,9 +140,7 @@ def _labels(explanation: Explanation, place: Place) -> Iterator[str]:
     for name, label in explanation.labels.items():
         verdict = label.verdict
         decision = "allowed in part" if verdict.partial else "allowed" if verdict.allowed else "denied"
-        deviation = f"; deviates from the standard: {verdict.deviation}" if verdict.deviation else ""
-        reason = f"{place(label.document)}: {label.reason or 'no reason is given'}{deviation}"
-        together.setdefault((decision, reason), []).append(name)
+        together.setdefault((decision, document_reason(label, typed)), []).append(name)
     for (decision, reason), names in together.items():
         yield f"{decision} by {enumeration(names)} ({reason})"
     for build_type, unasked in explanation.unasked.items():
@@ -151,7 +148,7 @@ def _labels(explanation: Explanation, place: Place) -> Iterator[str]:
         yield f"not asked: {enumeration(unasked)} ({build_type} has no name for the {wanted.kind} {wanted.name!r})"
 
 
-def _document(explanation: Explanation, typed: Callable[[str], str]) -> dict[str, Any]:
+def _document(explanation: Explanation, typed: Typed) -> dict[str, Any]:
     """Return the explanation for JSON."""
 
     def rule(each: MatchedRule) -> dict[str, Any]:
@@ -174,8 +171,5 @@ def _document(explanation: Explanation, typed: Callable[[str], str]) -> dict[str
         "package": [rule(each) for each in explanation.package] if explanation.packaged else None,
         "endpoints": [members(each, "action", "name", "partitions") for each, _ in explanation.needs],
         "installed": explanation.installed,
-        "transports": [
-            {"name": name, **verdict_json(label.verdict, label.reason, label.document, label.model, typed)}
-            for name, label in explanation.labels.items()
-        ],
+        "transports": [{"name": name, **verdict_json(label, typed)} for name, label in explanation.labels.items()],
     }

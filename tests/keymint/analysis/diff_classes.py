@@ -16,8 +16,7 @@ from comarmor.rules import PARTS, Rule, parts
 from keymint.analysis.policy_diff import diff_policies
 from keymint.analysis.symbolic_search import QueryBudget
 from keymint.api import LoadedPolicy
-from keymint.output.differences import as_text
-from keymint.output.json import differences_json
+from keymint.output.differences import as_text, differences_json
 from tests.keymint.analysis.policies import deny, loaded_text, rule
 
 LETTERS = "abst"
