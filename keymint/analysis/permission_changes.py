@@ -10,7 +10,7 @@ subjects and objects at once (:mod:`keymint.analysis.symbolic_search`); rules in
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from functools import cache, partial
 from itertools import product
 
@@ -231,32 +231,38 @@ whether there is one.
 """
 
 
+@dataclass(frozen=True, slots=True)
+class Versions:
+    """Two policies to compare.
+
+    Attributes:
+        policies: the older one and the newer one.
+        books: the rules of both.
+        named: subjects that are compared by themselves, and ignored among those that patterns match.
+        budget: limit of the search.
+    """
+
+    policies: tuple[LoadedPolicy, LoadedPolicy]
+    books: tuple[SymbolicRules, SymbolicRules]
+    named: Collection[str]
+    budget: QueryBudget
+
+
 class PatternComparison:
     """Finds what one policy allows and another one does not.
 
     Args:
         gains: the policy that allows it is the newer one; also an attribute.
-        policies: the one that does not allow it, and the one that does.
-        rules: the rules of both.
-        named: subjects to ignore.
-        budget: limit of the search.
+        versions: both policies.
     """
 
-    def __init__(
-        self,
-        gains: bool,
-        policies: tuple[LoadedPolicy, LoadedPolicy],
-        rules: tuple[SymbolicRules, SymbolicRules],
-        named: Iterable[str],
-        budget: QueryBudget,
-    ) -> None:
+    def __init__(self, gains: bool, versions: Versions) -> None:
         self.gains = gains
-        self._policies = policies
-        self._before, self._after = rules
-        self._budget = budget
-        named = tuple(named)
+        self._policies = versions.policies if gains else versions.policies[::-1]
+        self._before, self._after = versions.books if gains else versions.books[::-1]
+        self._budget = versions.budget
         # Returns the named subjects that match a pattern.
-        self._matching_named = cache(lambda pattern: tuple((name,) for name in named if matches(pattern, name)))
+        self._matching_named = cache(lambda like: tuple((name,) for name in versions.named if matches(like, name)))
         self._changed = cache(self._changed_rules)
 
     def differences(

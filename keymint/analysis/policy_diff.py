@@ -11,7 +11,7 @@ from comarmor.patterns.decision_lists import Unknown
 from comarmor.patterns.glob import literal
 from comarmor.patterns.tokens import STAR
 from comarmor.values import dataclass
-from keymint.analysis.permission_changes import KEYS, PatternComparison, PermissionChange, rule_changes
+from keymint.analysis.permission_changes import KEYS, PatternComparison, PermissionChange, Versions, rule_changes
 from keymint.analysis.rule_lists import SEPARATOR, pattern_text
 from keymint.analysis.subject_classes import ClassFinder
 from keymint.analysis.subject_patterns import EVERY, ROOT_ENCLAVE, SubjectClass
@@ -74,7 +74,7 @@ def diff_policies(old: LoadedPolicy, new: LoadedPolicy, budget: QueryBudget | No
     if len(books) < len(written):
         classes.append(_unknown(SubjectClass((STAR,)), _UNWRITTEN))
     else:
-        classes += _classes((old, new), (books[0], books[1]), own, budget)
+        classes += _classes(Versions((old, new), (books[0], books[1]), own.keys(), budget), own)
     # The root enclave is a member of classes, although no profile means it.
     known = (each for each in classes if not any(change.unknown for change in each.changes))
     if ROOT_ENCLAVE not in named and any(each.area and ROOT_ENCLAVE in each.area for each in known):
@@ -82,25 +82,16 @@ def diff_policies(old: LoadedPolicy, new: LoadedPolicy, budget: QueryBudget | No
     return [*(each for each in own.values() if each), *classes]
 
 
-def _classes(
-    policies: tuple[LoadedPolicy, LoadedPolicy],
-    books: tuple[SymbolicRules, SymbolicRules],
-    own: Mapping[str, SubjectChanges | None],
-    budget: QueryBudget,
-) -> Iterator[SubjectChanges]:
+def _classes(versions: Versions, own: Mapping[str, SubjectChanges | None]) -> Iterator[SubjectChanges]:
     """Yield the changes of classes of subjects that no policy names.
 
     Args:
-        policies: the older one and the newer one.
-        books: their rules.
+        versions: both policies.
         own: the changes of the subjects that are named.
-        budget: limit of the search.
     """
-    comparisons = (
-        PatternComparison(True, policies, books, own, budget),
-        PatternComparison(False, policies[::-1], books[::-1], own, budget),
-    )
-    finder = ClassFinder(policies, books, comparisons, own, budget)
+    budget = versions.budget
+    comparisons = (PatternComparison(True, versions), PatternComparison(False, versions))
+    finder = ClassFinder(versions, comparisons)
     listed: list[SubjectClass] = []
     for comparison, key in product(comparisons, KEYS):
         for rule, within, found in comparison.differences(key, SubjectClass(EVERY), (), listed):
@@ -111,7 +102,7 @@ def _classes(
                 change = PermissionChange(comparison.gains, *key, rule.object, False, "", rule.where, found.reason)
                 yield SubjectChanges("", SubjectClass(within), True, True, (change,))
                 continue
-            alone = _of_subject(*policies, found, budget)
+            alone = _of_subject(*versions.policies, found, budget)
             if alone is None:
                 raise AssertionError(f"the rules of {found} do not differ as reported")
             area, changes, reason = finder.class_of(found, rule, within, alone.changes)

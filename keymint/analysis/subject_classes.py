@@ -7,7 +7,7 @@ rules where they matter, no member changes in another way, and no placeholder me
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import product
@@ -18,7 +18,7 @@ from comarmor.patterns.relations import TooComplexError, covers, disjoint, inter
 from comarmor.patterns.tokens import STAR
 from comarmor.rules import PARTS, Effect, parts
 from comarmor.values import dataclass
-from keymint.analysis.permission_changes import KEYS, PatternComparison, PermissionChange
+from keymint.analysis.permission_changes import KEYS, PatternComparison, PermissionChange, Versions
 from keymint.analysis.rule_lists import (
     PermissionKey,
     allow_only,
@@ -33,14 +33,12 @@ from keymint.analysis.symbolic_rules import (
     Entries,
     SymbolicEntry,
     SymbolicRule,
-    SymbolicRules,
     exact_halves,
     fill_placeholders,
     fit_pattern,
     placeholders,
 )
-from keymint.analysis.symbolic_search import QueryBudget, find_subject
-from keymint.api import LoadedPolicy
+from keymint.analysis.symbolic_search import find_subject
 
 _MOST_SPLITS = 256
 """Maximum number of times that a class is narrowed."""
@@ -55,18 +53,12 @@ class ClassFinder:
     """Finds the class of a subject that changes.
 
     Attributes:
-        policies: the older one and the newer one.
-        books: the rules of both.
+        versions: both policies, and the subjects that are no members of any class here.
         comparisons: what is gained, and what is lost.
-        named: subjects that are no members of any class here.
-        budget: limit of the search.
     """
 
-    policies: tuple[LoadedPolicy, LoadedPolicy]
-    books: tuple[SymbolicRules, SymbolicRules]
+    versions: Versions
     comparisons: Sequence[PatternComparison]
-    named: Collection[str]
-    budget: QueryBudget
 
     def class_of(
         self, subject: str, rule: SymbolicRule, within: Glob, changes: Sequence[PermissionChange]
@@ -104,7 +96,7 @@ class ClassFinder:
         self, area: SubjectClass, subject: str, changes: Sequence[PermissionChange]
     ) -> Iterator[Sequence[Sequence[str]]]:
         """Yield nested profiles that must apply to all members or to none."""
-        for policy, book in zip(self.policies, self.books, strict=True):
+        for policy, book in zip(self.versions.policies, self.versions.books, strict=True):
             if policy.rules(subject) is None:
                 yield from (profiles for one, profiles in book.profiles.meeting(area.like) if area.overlaps([one]))
             else:
@@ -132,12 +124,13 @@ class ClassFinder:
 
     def _by_claim(self, area: SubjectClass, subject: str, changes: Sequence[PermissionChange]) -> SubjectClass | None:
         """Return the part without a member for which a change is false because of its namespace or name."""
-        excluded = (*area.excluded, *((name,) for name in self.named))
+        budget = self.versions.budget
+        excluded = (*area.excluded, *((name,) for name in self.versions.named))
         for after, allowed, key, objects in (claim for change in changes for claim in self._claims(change, subject)):
             entries = {
                 effect: tuple(
                     SymbolicEntry((EVERYBODY,), rule.object)
-                    for rule in self.books[after].applying(key, effect, area.like)
+                    for rule in self.versions.books[after].applying(key, effect, area.like)
                     if _applies(rule, subject) and rule.may_meet(objects, area)
                 )
                 for effect in Effect
@@ -150,7 +143,7 @@ class ClassFinder:
             searches: Sequence[tuple[tuple[Entries, ...], Entries]]
             searches = (((denied,), ()), ((), permitted)) if allowed else (((permitted,), denied),)
             for some, none in searches:
-                found = find_subject(key[0], area.like, objects, some, none, check, excluded, self.budget)
+                found = find_subject(key[0], area.like, objects, some, none, check, excluded, budget)
                 if isinstance(found, Unknown):
                     raise _NotAlikeError(found.reason)
                 if found is not None:
@@ -159,7 +152,7 @@ class ClassFinder:
 
     def _rules(self, key: PermissionKey, area: SubjectClass) -> Iterator[SymbolicRule]:
         """Yield the rules of a permission that may apply to members, of both policies."""
-        for book, effect in product(self.books, Effect):
+        for book, effect in product(self.versions.books, Effect):
             yield from book.applying(key, effect, area.like)
 
     def _claims(self, change: PermissionChange, subject: str) -> Iterator[tuple[bool, bool, PermissionKey, Glob]]:
@@ -180,18 +173,19 @@ class ClassFinder:
 
     def _refutes(self, after: bool, allowed: bool, key: PermissionKey, objects: Glob, subject: str) -> bool | Unknown:
         """Return whether a statement of a change is false for a subject."""
-        decided = decision_list(rules_of(self.policies[after], subject), key)
+        budget = self.versions.budget
+        decided = decision_list(rules_of(self.versions.policies[after], subject), key)
         concrete = allow_only(fill_placeholders(objects, *exact_halves(subject)))
         sought = negate(decided) if allowed else decided
-        return self.budget.verdict(find_permitted(key[0], concrete, sought, budget=self.budget.next_query()))
+        return budget.verdict(find_permitted(key[0], concrete, sought, budget=budget.next_query()))
 
     def _with_placeholders(self, subject: str, change: PermissionChange) -> PermissionChange:
         """Return a change of a subject with the placeholders of the rule behind it."""
         halves = exact_halves(subject)
         (kind, part, suffix), *_ = parts(change.kind, change.permission)
-        key, near = (kind, part), (subject,)
-        allowed = [rule.object for rule in self.books[change.gains].applying(key, Effect.ALLOW, near)]
-        denied = [rule.object for rule in self.books[not change.gains].applying(key, Effect.DENY, near)]
+        key, near, books = (kind, part), (subject,), self.versions.books
+        allowed = [rule.object for rule in books[change.gains].applying(key, Effect.ALLOW, near)]
+        denied = [rule.object for rule in books[not change.gains].applying(key, Effect.DENY, near)]
         both = [piece for one in allowed for other in denied for piece in overlap(one, other)]
         written = (base for each in (*allowed, *denied, *both) for base in right_quotient(each, suffix))
         found = (each for each in written if fill_placeholders(each, *halves) == change.objects)
