@@ -231,7 +231,9 @@ class _HolderSearch:
             key = (kind, part)
             none += _without(rules.surely(key, Effect.DENY, subjects), suffix)
             if number:
-                some.append(tuple(_without(rules.perhaps(key, Effect.ALLOW, subjects), suffix)))
+                # Over-approximated where they are too complex.
+                entries = [rule.entry() for rule in rules.applying(key, Effect.ALLOW, subjects)]
+                some.append(tuple(_without(entries, suffix)))
         return some, tuple(none)
 
     def _check(self, subject: str) -> bool | Unknown:

@@ -339,10 +339,6 @@ class SymbolicRules:
         """Return entries of the rules that may apply to some subjects, without those that are too complex."""
         return tuple(one.entry() for one in self.applying(key, effect, subjects) if one.reach.exact)
 
-    def perhaps(self, key: PermissionKey, effect: Effect, subjects: Glob) -> Entries:
-        """Return entries of the rules that may apply to some subjects, over-approximated where they are too complex."""
-        return tuple(one.entry() for one in self.applying(key, effect, subjects))
-
     def _find_applying(self, key: PermissionKey, effect: Effect, subjects: Glob) -> tuple[SymbolicRule, ...]:
         """Return the rules that may apply to subjects that a pattern matches."""
         by_profiles, index = self._index(key, effect)

@@ -32,15 +32,10 @@ def attachment_mistakes(written: PolicyStructure) -> Iterator[Diagnostic]:
     """Yield warnings about likely mistakes, each cause once."""
     # A profile of a file that is included several times counts once.
     profiles = list({(each.where.spot, each.around): each for each in written.profiles}.values())
-    yield from _named_twice(profiles)
-    yield from _copied(profiles)
-    yield from _wide(profiles, written.clauses)
-
-
-def _named_twice(profiles: Iterable[WrittenProfile]) -> Iterator[Diagnostic]:
-    first: dict[tuple[_Chain, str], WrittenProfile] = {}
+    by_name: dict[tuple[_Chain, str], WrittenProfile] = {}
+    by_attachments: dict[tuple[_Chain, str, frozenset[str]], WrittenProfile] = {}
     for each in profiles:
-        other = first.setdefault((each.around, each.name), each)
+        other = by_name.setdefault((each.around, each.name), each)
         if other is not each:
             yield Diagnostic.warning(
                 "profile-name-twice",
@@ -49,17 +44,12 @@ def _named_twice(profiles: Iterable[WrittenProfile]) -> Iterator[Diagnostic]:
                 "rename one, or merge them; if one is a copy with an unchanged attachment, it gives its rights to the "
                 "subjects of the other",
             )
-
-
-def _copied(profiles: Iterable[WrittenProfile]) -> Iterator[Diagnostic]:
-    """Yield profiles of one file with the same exact attachments; another file may extend a profile."""
-    first: dict[tuple[_Chain, str, frozenset[str]], WrittenProfile] = {}
-    for each in profiles:
+        # Profiles of one file with the same exact attachments; another file may extend a profile.
         texts = frozenset(_texts(each))
         if any(literal(parse(text)) is None for text in texts):
             continue
-        other = first.setdefault((each.around, each.where.file, texts), each)
-        if other is not each and other.name != each.name:  # same names are reported by _named_twice
+        other = by_attachments.setdefault((each.around, each.where.file, texts), each)
+        if other is not each and other.name != each.name:
             yield Diagnostic.warning(
                 "profile-copied",
                 f"the profiles {other.name!r} ({other.where.alone()}) and {each.name!r} are both attached to "
@@ -67,6 +57,7 @@ def _copied(profiles: Iterable[WrittenProfile]) -> Iterator[Diagnostic]:
                 each.where,
                 "fix the attachment of the copy, or merge the profiles",
             )
+    yield from _wide(profiles, written.clauses)
 
 
 _GrantedRight = tuple[str, str]

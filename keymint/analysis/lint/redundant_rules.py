@@ -128,7 +128,15 @@ class RedundantRules:
                 by_attachment[each.attached].append(each)
             for together in by_attachment.values():
                 yield self._finding(code, together, of_rule=False)
-        yield from self._unknown_note()
+        if self._unknown:
+            rule, text, where = self._an_expansion(self._unknown[-1])
+            more = f" and {len(self._unknown) - 1:,} other expressions" if len(self._unknown) > 1 else ""
+            yield undecided_note(
+                f"whether {text!r} in this {rule.effect} {rule.kind} rule{more} is redundant is unknown: "
+                "it overlaps with others in too many ways",
+                where,
+                "use fewer expressions with wildcards for one subject, or lint parts of the policy",
+            )
 
     def _code_or_unknown(self, expression: _RuleExpression) -> str:
         """Return the code of the finding on an expression, or an empty text; record it if that takes too many steps."""
@@ -144,18 +152,6 @@ class RedundantRules:
         except (StepLimitError, TooComplexError):
             self._unknown.append(expression)
             return ""
-
-    def _unknown_note(self) -> Iterator[Diagnostic]:
-        """Yield a note on the first undecided expression and the number of the others."""
-        if self._unknown:
-            rule, text, where = self._an_expansion(self._unknown[-1])
-            more = f" and {len(self._unknown) - 1:,} other expressions" if len(self._unknown) > 1 else ""
-            yield undecided_note(
-                f"whether {text!r} in this {rule.effect} {rule.kind} rule{more} is redundant is unknown: "
-                "it overlaps with others in too many ways",
-                where,
-                "use fewer expressions with wildcards for one subject, or lint parts of the policy",
-            )
 
     def _an_expansion(self, expression: _RuleExpression) -> tuple[Rule, str, Origin]:
         """Return rule, text and attachment of an expression for its first subject."""

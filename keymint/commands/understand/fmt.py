@@ -42,11 +42,6 @@ class _Formatted:
     before: bytes
     after: bytes
 
-    @property
-    def changes(self) -> bool:
-        """Whether it is not in canonical form."""
-        return self.before != self.after
-
 
 @verb(dry_run=True)
 def fmt(
@@ -71,7 +66,7 @@ def fmt(
     if _STANDARD in paths and len(paths) > 1:
         raise usage_error("- for standard input stands alone", "format files in another call")
     files, skipped = _formatted(run, paths)
-    changed = [each for each in files if each.changes]
+    changed = [each for each in files if each.before != each.after]
     writes = not (check or as_diff or run.dry_run or _STANDARD in paths)
     if writes:
         replace_inputs(run, {each.path: (each.before, each.after) for each in changed})
@@ -86,7 +81,7 @@ def fmt(
         other = f", {len(changed)} not" + " before" * writes if changed else ""
         run.console.line(f"{quantity(len(files), 'file')}: {len(files) - len(changed)} in canonical form{other}")
     result: dict[str, Any] = {
-        "files": [{"file": each.name, "changed": each.changes} for each in files],
+        "files": [{"file": each.name, "changed": each.before != each.after} for each in files],
         "written": [each.name for each in changed] if writes else [],
         "diff": None if diff is None else diff.decode(errors="backslashreplace"),
         "text": files[0].after.decode() if _STANDARD in paths else None,
