@@ -281,13 +281,24 @@ def policy_graph(
                     asked |= {Edge(subject, permission, object_): witness for permission in rule.permissions}
     if everything:
         _refuse_large(len(chosen) * sum(len(LABELLED[object_.kind]) for object_ in names))
-    decided = itertools.chain(
-        _edges_to_names(loaded, chosen, sorted(names), everything=everything),
-        ((edge, loaded.decide(replace(edge, object=witness))) for edge, witness in asked.items()),
-    )
-    edges = list(policy.labelled(itertools.islice(decided, MOST_EDGES + 1)))
+    to_names = _edges_to_names(loaded, itertools.product(chosen, sorted(names)), everything=everything)
+    to_expressions = ((edge, loaded.decide(replace(edge, object=witness))) for edge, witness in asked.items())
+    decided = itertools.islice(itertools.chain(to_names, to_expressions), MOST_EDGES + 1)
+    edges = list(policy.labelled(decided))
     _refuse_large(len(edges))
     return LabelledGraph.of(title, edges, chosen, patterns={edge.object for edge in asked})
+
+
+def _edges_to_names(
+    policy: LoadedPolicy, pairs: Iterable[tuple[str, Object]], *, everything: bool
+) -> Iterator[tuple[Edge, PolicyDecision]]:
+    for subject, object_ in pairs:
+        for permission in PERMISSIONS[object_.kind]:
+            edge = Edge(subject, permission, object_)
+            decision = policy.decide(edge)
+            completes = everything and permission in LABELLED[object_.kind]
+            if decision.allowed or decision.where is not None or completes:
+                yield edge, decision
 
 
 def _refuse_large(edges: int) -> None:
@@ -297,18 +308,6 @@ def _refuse_large(edges: int) -> None:
             help="select a part with --subject or --namespace, or omit --all",
             code="graph-large",
         )
-
-
-def _edges_to_names(
-    policy: LoadedPolicy, subjects: Sequence[str], objects: Sequence[Object], *, everything: bool
-) -> Iterator[tuple[Edge, PolicyDecision]]:
-    for subject, object_ in itertools.product(subjects, objects):
-        for permission in PERMISSIONS[object_.kind]:
-            edge = Edge(subject, permission, object_)
-            decision = policy.decide(edge)
-            completes = everything and permission in LABELLED[object_.kind]
-            if decision.allowed or decision.where is not None or completes:
-                yield edge, decision
 
 
 def policy_label(decision: PolicyDecision, typed: Callable[[str], str]) -> Label:

@@ -239,36 +239,28 @@ def _tops(
     longest = max(range(len(stacks)), key=lambda at: sum(heights[key] + GAP for key in stacks[at]))
     tops = _stacked(stacks[longest], heights)
     for at in sorted(range(len(stacks)), key=lambda at: abs(at - longest)):
-        if at != longest:
-            tops |= _fitted(stacks[at], tops, heights, beside)
+        if at == longest:
+            continue
+        # The tops nearest to the middle of each node's neighbours (least squares) that keep order and gaps.
+        shifts = _stacked(stacks[at], heights)
+        blocks: list[tuple[float, int]] = []
+        wanted = 0.0
+        for key in stacks[at]:
+            ends = [tops[one] + heights[one] / 2 for one in beside.get(key, ()) if one in tops]
+            wanted = sum(ends) / len(ends) - heights[key] / 2 if ends else wanted
+            mean, count = wanted - shifts[key], 1
+            while blocks and blocks[-1][0] > mean:
+                before, members = blocks.pop()
+                mean, count = (before * members + mean * count) / (members + count), members + count
+            blocks.append((mean, count))
+        offsets = [mean for mean, count in blocks for _ in range(count)]
+        tops |= {key: shifts[key] + offset for key, offset in zip(stacks[at], offsets, strict=True)}
     lowest = min(tops.values(), default=0.0)
     return {key: top - lowest for key, top in tops.items()}
 
 
 def _stacked(column: Sequence[NodeKey], heights: Mapping[NodeKey, float]) -> dict[NodeKey, float]:
     return dict(zip(column, accumulate((heights[key] + GAP for key in column), initial=0.0), strict=False))
-
-
-def _fitted(
-    column: Sequence[NodeKey],
-    tops: Mapping[NodeKey, float],
-    heights: Mapping[NodeKey, float],
-    beside: Mapping[NodeKey, Sequence[NodeKey]],
-) -> dict[NodeKey, float]:
-    """Return the tops nearest to the middle of each node's neighbours (least squares) that keep order and gaps."""
-    shifts = _stacked(column, heights)
-    blocks: list[tuple[float, int]] = []
-    wanted = 0.0
-    for key in column:
-        ends = [tops[one] + heights[one] / 2 for one in beside.get(key, ()) if one in tops]
-        wanted = sum(ends) / len(ends) - heights[key] / 2 if ends else wanted
-        mean, count = wanted - shifts[key], 1
-        while blocks and blocks[-1][0] > mean:
-            before, members = blocks.pop()
-            mean, count = (before * members + mean * count) / (members + count), members + count
-        blocks.append((mean, count))
-    offsets = [mean for mean, count in blocks for _ in range(count)]
-    return {key: shifts[key] + offset for key, offset in zip(column, offsets, strict=True)}
 
 
 def _lines(

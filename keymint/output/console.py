@@ -7,7 +7,7 @@ import io
 import itertools
 import json
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from datetime import datetime
@@ -18,7 +18,7 @@ from comarmor.text import encodable_value, one_line, printable_lines, quantity
 from comarmor.values import dataclass
 from keymint.host.streams_and_signals import Output
 from keymint.output.report import Report, report_json
-from keymint.store.changes import Action, DocumentSize, Step
+from keymint.store.changes import Action, Step
 
 _COLOURS: Mapping[Severity, str] = {
     Severity.ERROR: "31",
@@ -197,9 +197,12 @@ class Console:
                 counts = Counter(str(step.action) for step in report.steps)
                 would = "would be " if report.dry_run else ""
                 self.line(would + ", ".join(f"{counts[a]} {a}" for a in map(str, Action) if counts[a]))
-            built = [step for step in report.steps if step.action is not Action.UNCHANGED]
-            if line := _gain([size for step in built for size in step.sizes]):
-                self.line(line)
+            # The total size of the built documents, if it differs from that of their plain form.
+            sizes = [size for step in report.steps if step.action is not Action.UNCHANGED for size in step.sizes]
+            now, plain = sum(size.bytes for size in sizes), sum(size.plain_bytes for size in sizes)
+            if now != plain:
+                files = f"{', '.join(sorted({size.file for size in sizes}))} of {quantity(len(sizes), 'package')}"
+                self.line(f"{files}: {now:,} bytes, {plain:,} in plain form ({(now - plain) / plain:+.0%})")
 
     def _say_err(self, text: str) -> None:
         self._streams.err.write(f"{text}\n")
@@ -218,15 +221,6 @@ def _cell(value: Any) -> str:
         case tuple() | list():
             return " ".join(map(_cell, value))
     return one_line(str(value))
-
-
-def _gain(sizes: Sequence[DocumentSize]) -> str:
-    """Return the total size of the built documents compared with their plain form, or an empty text."""
-    now, plain = sum(size.bytes for size in sizes), sum(size.plain_bytes for size in sizes)
-    if now == plain:
-        return ""
-    files = f"{', '.join(sorted({size.file for size in sizes}))} of {quantity(len(sizes), 'package')}"
-    return f"{files}: {now:,} bytes, {plain:,} in plain form ({(now - plain) / plain:+.0%})"
 
 
 def _paint(text: str, code: str, *, colour: bool) -> str:

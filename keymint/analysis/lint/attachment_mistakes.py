@@ -62,6 +62,7 @@ def attachment_mistakes(written: PolicyStructure) -> Iterator[Diagnostic]:
 
 _GrantedRight = tuple[str, str]
 """Permission and expression of a rule in the profile itself."""
+_Rights = Mapping[_Chain, Mapping[_GrantedRight, None]]
 
 
 def _wide(profiles: Sequence[WrittenProfile], clauses: Iterable[WrittenRule]) -> Iterator[Diagnostic]:
@@ -75,13 +76,12 @@ def _wide(profiles: Sequence[WrittenProfile], clauses: Iterable[WrittenRule]) ->
     checked: set[tuple[_Chain, str]] = set()
     for each, text, glob in wild:
         chain = profile_chain(each)
-        granted = rights.get(chain, {})
-        if not granted or (chain, text) in checked:
+        if not rights.get(chain) or (chain, text) in checked:
             continue
         checked.add((chain, text))
         try:
             with step_limit(STEPS):
-                gaining = list(_gaining(each, granted, near.meeting(glob), rights))
+                gaining = list(_gaining(each, near.meeting(glob), rights))
         except StepLimitError as limit:
             yield undecided_note(
                 f"the subjects that profile {each.name!r} gets by {text!r} are unknown: {limit}",
@@ -103,12 +103,10 @@ def _wide(profiles: Sequence[WrittenProfile], clauses: Iterable[WrittenRule]) ->
 
 
 def _gaining(
-    wide: WrittenProfile,
-    granted: Mapping[_GrantedRight, None],
-    near: Iterable[tuple[Glob, WrittenProfile]],
-    rights: Mapping[_Chain, Mapping[_GrantedRight, None]],
+    wide: WrittenProfile, near: Iterable[tuple[Glob, WrittenProfile]], rights: _Rights
 ) -> Iterator[tuple[str, WrittenProfile, _GrantedRight]]:
     """Yield subjects that gain rights by a wide profile, each once, with their own profile and such a right."""
+    granted = rights[profile_chain(wide)]
     own: dict[str, list[WrittenProfile]] = defaultdict(list)
     for glob, profile in near:
         # Only siblings: for nested profiles, the outer ones are checked.
@@ -121,7 +119,7 @@ def _gaining(
             yield subject, its_profiles[0], missing
 
 
-def _rights(clauses: Iterable[WrittenRule]) -> dict[_Chain, dict[_GrantedRight, None]]:
+def _rights(clauses: Iterable[WrittenRule]) -> _Rights:
     """Return the rights by rules in each profile itself whose expressions do not depend on the subject.
 
     Expressions that depend on the subject, and included rules, are meant for several subjects.

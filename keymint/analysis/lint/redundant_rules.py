@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import field
 from itertools import groupby
 from operator import itemgetter
 
@@ -63,7 +62,6 @@ class _RuleExpression:
 _Side = tuple[PermissionKey, Effect]
 
 
-@dataclass(slots=True)
 class _RuleAnalysis:
     """The rules of one subject.
 
@@ -73,9 +71,22 @@ class _RuleAnalysis:
         index: all patterns with their expressions.
     """
 
-    expanded: dict[_RuleExpression, tuple[Rule, str, Origin]] = field(default_factory=dict)
-    patterns: dict[_RuleExpression, dict[tuple[PermissionKey, Glob], None]] = field(default_factory=dict)
-    index: dict[_Side, PatternIndex[_RuleExpression]] = field(default_factory=dict)
+    def __init__(self, rules: Sequence[Rule], subject: str, attachments: ExpressionOrigins) -> None:
+        self.expanded: dict[_RuleExpression, tuple[Rule, str, Origin]] = {}
+        self.patterns: dict[_RuleExpression, dict[tuple[PermissionKey, Glob], None]] = {}
+        sides: dict[_Side, list[tuple[Glob, _RuleExpression]]] = defaultdict(list)
+        for rule in rules:
+            attached = attachments.of(rule, subject)
+            for text in rule.expressions:
+                attachment = attached[text]
+                expression = _RuleExpression(rule.origin.spot, rule.effect, attachment.where.spot, attachment.number)
+                self.expanded.setdefault(expression, (rule, text, attachment.where))
+                patterns = self.patterns.setdefault(expression, {})
+                for key in permission_keys(rule):
+                    for pattern in rule_patterns(rule, text, key):
+                        patterns[key, pattern] = None
+                        sides[key, rule.effect].append((pattern, expression))
+        self.index = {side: PatternIndex(items) for side, items in sides.items()}
 
 
 class RedundantRules:
@@ -93,7 +104,7 @@ class RedundantRules:
         self._attachments = attachments
         self._book = SymbolicRules(written) if written else None
         self._subjects = {
-            subject: _subject_rules(rules, subject, attachments)
+            subject: _RuleAnalysis(rules, subject, attachments)
             for subject, rules in with_distinct_rules(subjects.items())
         }
         self._subjects_of: dict[_RuleExpression, list[str]] = defaultdict(list)
@@ -268,24 +279,6 @@ def _is_proven(outcome: ProofResult) -> bool:
     if isinstance(outcome, Unknown):
         raise StepLimitError(UNIT)
     return isinstance(outcome, Equal)
-
-
-def _subject_rules(rules: Sequence[Rule], subject: str, attachments: ExpressionOrigins) -> _RuleAnalysis:
-    its_rules = _RuleAnalysis()
-    sides: dict[_Side, list[tuple[Glob, _RuleExpression]]] = defaultdict(list)
-    for rule in rules:
-        attached = attachments.of(rule, subject)
-        for text in rule.expressions:
-            attachment = attached[text]
-            expression = _RuleExpression(rule.origin.spot, rule.effect, attachment.where.spot, attachment.number)
-            its_rules.expanded.setdefault(expression, (rule, text, attachment.where))
-            patterns = its_rules.patterns.setdefault(expression, {})
-            for key in permission_keys(rule):
-                for pattern in rule_patterns(rule, text, key):
-                    patterns[key, pattern] = None
-                    sides[key, rule.effect].append((pattern, expression))
-    its_rules.index = {side: PatternIndex(items) for side, items in sides.items()}
-    return its_rules
 
 
 def within_bounds(policy: LoadedPolicy, subjects: Iterable[str]) -> tuple[Mapping[str, tuple[Rule, ...]], bool]:
