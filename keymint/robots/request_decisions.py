@@ -12,7 +12,6 @@ from dataclasses import replace
 
 from comarmor.errors import Defects, Origin
 from comarmor.text import did_you_mean
-from comarmor.values import dataclass
 from keymint.errors import KeymintError
 from keymint.life.examine import Keyring
 from keymint.life.package_issuance import place_of, plan_issuance
@@ -28,22 +27,14 @@ from keymint.workspace.stored_keys import known_fingerprint
 STAGE = "sign"
 
 
-@dataclass(frozen=True, slots=True)
-class Given:
-    """A request and the file that it was read from."""
-
-    request: CertificationRequest
-    where: Origin
-
-
 def plan_requests(
-    session: Session, given: Sequence[Given], fingerprints: Mapping[str, str]
+    session: Session, given: Sequence[tuple[CertificationRequest, Origin]], fingerprints: Mapping[str, str]
 ) -> tuple[Plan, Mapping[str, CertificationRequest]]:
     """Plan to certify the keys of some requests.
 
     Args:
         session: the workspace and its profile.
-        given: the requests.
+        given: the requests, each with the file that it was read from.
         fingerprints: fingerprints of keys, as they were read at the robots, by package.
 
     Returns:
@@ -66,15 +57,15 @@ def plan_requests(
             )
     requests: dict[str, CertificationRequest] = {}
     defects, keyring = Defects(), Keyring(session)
-    for each in given:
+    for request, where in given:
         with defects:
-            name = _package(session, each, fingerprints)
+            name = _package(session, request, where, fingerprints)
             if name in requests:
                 raise _refused(
-                    f"is for {subject_of(name)}, as another request is", each, "sign the later one", "request-twice"
+                    f"is for {subject_of(name)}, as another request is", where, "sign the later one", "request-twice"
                 )
-            keyring.require_certifiable(session.package(name), each.request.public_key, each.where)
-            requests[name] = each.request
+            keyring.require_certifiable(session.package(name), request.public_key, where)
+            requests[name] = request
     defects.require_none()
     new = {
         name: replace(session.issuance(name), public_key=request.public_key)
@@ -85,14 +76,13 @@ def plan_requests(
     return plan_issuance(session, STAGE, new, "its key is on the robot"), requests
 
 
-def _package(session: Session, given: Given, fingerprints: Mapping[str, str]) -> str:
+def _package(session: Session, request: CertificationRequest, where: Origin, fingerprints: Mapping[str, str]) -> str:
     """Return the package that a request is for, which somebody or its own key must confirm."""
-    request = given.request
     named = [name for name in session.packages() if common_name(subject_of(name)) == request.common_name]
     if not named:
         raise _refused(
             f"is for {request.common_name}, and no package has that name",
-            given,
+            where,
             did_you_mean(
                 request.common_name, [subject_of(name) for name in session.packages()], "'keymint create' makes it"
             ),
@@ -104,7 +94,7 @@ def _package(session: Session, given: Given, fingerprints: Mapping[str, str]) ->
         raise _refused(
             f"has the key {request.fingerprint}, not the one whose fingerprint is given for /{asked[0]}: somebody may "
             "have exchanged it on its way",
-            given,
+            where,
             "read the fingerprint at the robot again, where 'keymint request' prints it",
             "request-exchanged",
         )
@@ -116,7 +106,7 @@ def _package(session: Session, given: Given, fingerprints: Mapping[str, str]) ->
     why = ", and the key that signs it is not the one that the package has" if request.signer else ""
     raise _refused(
         f"nobody confirms that its key is that of {subject_of(named[0])}{why}",
-        given,
+        where,
         f"read the fingerprint at the robot and give it: --fingerprint {subject_of(named[0])}=…",
         "request-unconfirmed",
     )
@@ -129,5 +119,5 @@ def current_fingerprint(session: Session, name: str) -> str:
     return known_fingerprint(session, name)
 
 
-def _refused(message: str, given: Given, help_: str, code: str) -> KeymintError:
-    return KeymintError(message, where=given.where, help=help_, code=code)
+def _refused(message: str, where: Origin, help_: str, code: str) -> KeymintError:
+    return KeymintError(message, where=where, help=help_, code=code)

@@ -138,31 +138,37 @@ def recognises(files: Mapping[str, bytes]) -> bool:
 
 def load(root: Path, files: Mapping[str, bytes]) -> WorkspaceProfile:
     """Load a profile: see :meth:`keymint.api.ProfileType.load`."""
-    name = str(root / MANIFEST)
-    own, listed, policies = _read_manifest(file_in(files, MANIFEST, Origin(str(root)), "profile"), name)
+    content = file_in(files, MANIFEST, Origin(str(root)), "profile")
+    profile, listed, policies = _read_manifest(content, str(root / MANIFEST))
     authorities: dict[str, Authority] = {}
     issuers: dict[str, Origin] = {}
     for path, defaults_path in listed:
-        for authority, where, issuer_named_at in _load_authorities(root, files, path, defaults_path):
+        content, file = _document(root, files, path)
+        defaults_content, defaults_file = _document(root, files, defaults_path)
+        defaults = _read_authority_defaults(defaults_content, defaults_file).in_file(defaults_file)
+        for name, element in _read_authorities(content, file):
+            own = element.in_file(file)
+            spec, issuer_named_at = certificate.complete(own, defaults, {"name": name})
             # Names must differ even on a file system that ignores case.
-            if authority.name.lower() in {other.lower() for other in authorities}:
+            if name.lower() in {other.lower() for other in authorities}:
                 raise KeymintError(
-                    f"there are two authorities named {authority.name!r}",
-                    where=where,
+                    f"there are two authorities named {name!r}",
+                    where=own.origin,
                     help="give each its own name, different in more than case: it becomes the name of a file",
                     code="authority-doubled",
                 )
-            authorities[authority.name], issuers[authority.name] = authority, issuer_named_at
+            authorities[name] = Authority(name, replace(spec, issuer="" if spec.issuer == name else spec.issuer))
+            issuers[name] = issuer_named_at
     for each, issuance in decisions.authority_issuance(files, str(root), authorities).items():
         spec = decisions.spec_after_decision(authorities[each].certificate, issuance)
         authorities[each] = Authority(each, spec, issuance)
     _check_hierarchy(authorities, issuers)
     return replace(
-        own,
+        profile,
         policies=tuple(source for path in policies for source in _load_policies(root, files, path)),
         library=root / LIBRARY,
         authorities=tuple(authorities.values()),
-        layout=own.layout or "sros2",
+        layout=profile.layout or "sros2",
         files=files,
         packages=decisions.accepted_packages(files, str(root)),
         package_copies=root / decisions.COPIES,
@@ -181,20 +187,6 @@ def _document(root: Path, files: Mapping[str, bytes], path: _PathElement) -> tup
     """Return the content of a document that the manifest names, and its path as the user would type it."""
     name, at = path
     return file_in(files, name, Origin(str(root / MANIFEST), at), "profile"), str(root / name)
-
-
-def _load_authorities(
-    root: Path, files: Mapping[str, bytes], path: _PathElement, defaults_path: _PathElement
-) -> Iterator[tuple[Authority, Origin, Origin]]:
-    """Yield the authorities of one document, each with its place and the one that names its issuer."""
-    content, file = _document(root, files, path)
-    defaults_content, defaults_file = _document(root, files, defaults_path)
-    defaults = _read_authority_defaults(defaults_content, defaults_file).in_file(defaults_file)
-    for name, element in _read_authorities(content, file):
-        own = element.in_file(file)
-        spec, issuer_named_at = certificate.complete(own, defaults, {"name": name})
-        issuer = "" if spec.issuer == name else spec.issuer
-        yield Authority(name, replace(spec, issuer=issuer)), own.origin, issuer_named_at
 
 
 def _check_hierarchy(authorities: Mapping[str, Authority], issuers: Mapping[str, Origin]) -> None:

@@ -120,24 +120,15 @@ def _sum(start: datetime, content: str, where: Origin | None = None) -> datetime
     """Return the date that is a duration after ``start``."""
     import isodate  # type: ignore[import-untyped] # noqa: PLC0415 - most documents have two dates
 
+    end: datetime | None = None
+    message, help_ = f"{quote(content, _LONGEST)} is not an ISO 8601 duration", "write e.g. P1Y, P90D or PT12H"
     try:
         duration = isodate.parse_duration(content[:_LONGEST])
+        message = f"the duration {content!r} from {start:%Y-%m-%d} must end later, and before the year {_YEARS.stop}"
+        help_ = "write a positive duration, e.g. P1Y"
+        end = start + duration
     except (ValueError, ArithmeticError):
-        raise KeymintError(
-            f"{quote(content, _LONGEST)} is not an ISO 8601 duration",
-            where=where,
-            help="write e.g. P1Y, P90D or PT12H",
-            code="duration-invalid",
-        ) from None
-    try:
-        end: datetime = start + duration
-    except (ValueError, ArithmeticError):
-        end = start.replace(year=_YEARS[0])
-    if end.year not in _YEARS or end < start:
-        raise KeymintError(
-            f"the duration {content!r} from {start:%Y-%m-%d} must end later, and before the year {_YEARS.stop}",
-            where=where,
-            help="write a positive duration, e.g. P1Y",
-            code="duration-invalid",
-        )
+        pass  # the message says what failed
+    if end is None or end.year not in _YEARS or end < start:
+        raise KeymintError(message, where=where, help=help_, code="duration-invalid")
     return end.replace(microsecond=0)

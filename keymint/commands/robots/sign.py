@@ -18,7 +18,7 @@ from keymint.errors import usage_error
 from keymint.names import package_name
 from keymint.robots import certification_request as requests
 from keymint.robots.bundle_making import MadeBundle, plan_bundles
-from keymint.robots.request_decisions import Given, plan_requests
+from keymint.robots.request_decisions import plan_requests
 from keymint.stages.pipeline import Request, conduct
 from keymint.stages.work import InstallRequest, Work
 from keymint.store.changes import Plan
@@ -46,7 +46,7 @@ def sign(
     """
     fingerprints = _fingerprints(typed)
     given = [
-        Given(requests.read(read_input(run, file, requests.MAX_BYTES), Origin(str(file))), Origin(str(file)))
+        (requests.read(read_input(run, file, requests.MAX_BYTES), Origin(str(file))), Origin(str(file)))
         for file in files
     ]
     require_output(run, output, len(given))

@@ -12,21 +12,22 @@ from comarmor.errors import Origin
 from keymint.errors import KeymintError
 from keymint.pki import keys
 from keymint.robots import certification_request
-from keymint.robots.request_decisions import Given, current_fingerprint, plan_requests
+from keymint.robots.request_decisions import current_fingerprint, plan_requests
 from keymint.workspace.session import Session
 from tests.keymint.stages.sessions import session_of
 
 NONCE = "0123456789abcdef" * 2
 KEY = ec.derive_private_key(20_261_122, ec.SECP256R1())
 PRINT = keys.fingerprint(KEY)
+Asked = tuple[certification_request.CertificationRequest, Origin]
 
 
-def given(name: str = "/talker", key: ec.EllipticCurvePrivateKey = KEY) -> Given:
+def given(name: str = "/talker", key: ec.EllipticCurvePrivateKey = KEY) -> Asked:
     where = Origin(f"{name.replace('/', '')}.pem")
-    return Given(certification_request.read(certification_request.make(name, key, NONCE), where), where)
+    return certification_request.read(certification_request.make(name, key, NONCE), where), where
 
 
-def codes(session: Session, *requests: Given, **fingerprints: str) -> list[str]:
+def codes(session: Session, *requests: Asked, **fingerprints: str) -> list[str]:
     with pytest.raises(KeymintError) as refused:
         plan_requests(session, requests, fingerprints)
     return [each.code for each in refused.value.diagnostics]
