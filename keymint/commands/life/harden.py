@@ -16,7 +16,7 @@ from keymint.command_line.options import flag_day_option, packages_argument
 from keymint.command_line.verb import Report, Run, argument, flag, verb
 from keymint.commands.life.authority_change import issued_again
 from keymint.errors import KeymintError
-from keymint.examine.weaknesses import Weakness, open_steps
+from keymint.examine.weaknesses import OpenStep, Weakness, open_steps
 from keymint.stages.pipeline import Request, conduct
 from keymint.stages.work import Work
 from keymint.store.changes import Action, Plan, Step, folder_changes
@@ -65,16 +65,14 @@ def harden(
                 only = tuple(name for name in wanted if name in chosen[0].concerns)
                 return conduct(Work(session), Request(only, change=plan_names(session, only)), run.crew).plan
             case Weakness.AUTHORITY:
-                if not flag_day:
-                    raise KeymintError(
-                        f"this is {chosen[0].cost}",
-                        help="plan a common restart of all robots and say --flag-day",
-                        code="authority-flag-day",
-                    )
-                work = Work(session).then(plan_authority(session, chosen[0].concerns[0]))
+                work = Work(session).then(plan_authority(session, chosen[0], flag_day=flag_day))
                 return conduct(work, Request(with_sources(session)), run.crew).plan
             case _:
-                return _identifiers(run, session, chosen[0].concerns, accepted=flag_day)
+                work = Work(session)
+                for name in chosen[0].concerns:
+                    renewal = plan_renewal(work.session, name)
+                    work = work.then(issued_again(run, work.session, renewal, name, flag_day=flag_day))
+                return work.plan
 
     return replace(run.change(make_plan), result=result)
 
@@ -98,13 +96,25 @@ def plan_names(session: Session, names: Sequence[str]) -> Plan:
     return Plan(tuple(steps), session.state)
 
 
-def plan_authority(session: Session, former: str) -> Plan:
+def plan_authority(session: Session, step: OpenStep, *, flag_day: bool) -> Plan:
     """Plan another authority for the signature of documents, which outlives them; the profile changes only.
 
+    Args:
+        session: the workspace and its profile.
+        step: the step, which concerns the authority that signs them now.
+        flag_day: the user accepts that old and new enclaves do not work together.
+
     Raises:
-        KeymintError: the profile is written in another way than Keymint writes it, or has such an authority.
+        KeymintError: the user does not accept that; or the profile is written in another way than Keymint writes it, or
+            has such an authority.
     """
-    profile = session.profile
+    if not flag_day:
+        raise KeymintError(
+            f"this is {step.cost}",
+            help="plan a common restart of all robots and say --flag-day",
+            code="authority-flag-day",
+        )
+    profile, former = session.profile, step.concerns[0]
     name = session.profile_type.SIGNER
     if not name:
         raise _unsupported(session, f"profiles of the type {profile.profile_type!r}")
@@ -131,16 +141,3 @@ def _unsupported(session: Session, what: str) -> KeymintError:
         f"{what} cannot be changed by Keymint", where=session.profile_marker(), help="change them by hand",
         code="harden-unsupported",
     )  # fmt: skip
-
-
-def _identifiers(run: Run, session: Session, names: Sequence[str], *, accepted: bool) -> Plan:
-    """Return the plan of the authorities' certificates, and of all that follows.
-
-    Raises:
-        KeymintError: a key is elsewhere, or the user does not accept that all robots restart together.
-    """
-    work = Work(session)
-    for name in names:
-        renewal = plan_renewal(work.session, name)
-        work = work.then(issued_again(run, work.session, renewal, name, flag_day=accepted))
-    return work.plan
