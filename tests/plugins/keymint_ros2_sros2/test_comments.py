@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from keymint_ros2_sros2.policy_files import comments_of
+from keymint_ros2_sros2.parse import comments_of
 
 from comarmor.xml.reader import parse
 

@@ -6,8 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from keymint_ros2_sros2.parse import parse
-from keymint_ros2_sros2.policy_files import INCLUDES
+from keymint_ros2_sros2.parse import INCLUDES, parse
 from lxml import etree
 
 from comarmor.errors import ComArmorError

@@ -9,10 +9,10 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from comarmor.errors import Origin
+from keymint.commands.robots.sign import current_fingerprint, plan_requests
 from keymint.errors import KeymintError
 from keymint.pki import keys
 from keymint.robots import certification_request
-from keymint.robots.request_decisions import current_fingerprint, plan_requests
 from keymint.workspace.session import Session
 from tests.keymint.stages.sessions import session_of
 
