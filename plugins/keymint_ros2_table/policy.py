@@ -12,7 +12,7 @@ from keymint_comarmor import require_policies
 from keymint_comarmor.loaded import ComArmorPolicy
 
 import comarmor
-from comarmor.errors import ComArmorError, Diagnostic, Origin
+from comarmor.errors import ComArmorError, Defects, Diagnostic, Origin
 from comarmor.language import attachments
 from comarmor.language.attachments import Placeholder, TunableReference
 from comarmor.language.loading import load_included
@@ -51,8 +51,8 @@ def load(
     for source in sources:
         require_policies([source], "a CSV file or an SQLite database")
         maker.add(source.path)
-    if maker.diagnostics:
-        raise KeymintError.of(maker.diagnostics)
+    if maker.defects.found:
+        raise KeymintError.of(maker.defects.found)
     profiles = (
         Profile(text, False, (subject,), (), tuple(maker.parts[text]), subject.where)
         for text, subject in maker.subjects.items()
@@ -70,7 +70,7 @@ class _PolicyMaker:
         seen: fingerprints of all files.
         subjects: the subjects of each profile, by their expression.
         parts: the rules of each profile.
-        diagnostics: the defects.
+        defects: all that were found.
         included: the rules of files of the library.
         characters: those of the expressions so far.
     """
@@ -80,19 +80,17 @@ class _PolicyMaker:
     seen: dict[Path, bytes] = field(default_factory=dict)
     subjects: dict[str, Attachment] = field(default_factory=dict)
     parts: dict[str, list[_Part]] = field(default_factory=dict)
-    diagnostics: list[Diagnostic] = field(default_factory=list)
+    defects: Defects = field(default_factory=Defects)
     included: dict[str, tuple[_Part, ...]] = field(default_factory=dict)
     characters: int = 0
 
     def add(self, path: Path) -> None:
         """Add the rules of a table."""
-        try:
+        with self.defects:
             rows, seen = read(path)
             self.seen |= seen
             for row in rows:
                 self._collect(row)
-        except ComArmorError as error:
-            self.diagnostics += error.diagnostics
 
     def _collect(self, row: TableRow | ComArmorError) -> None:
         """Collect the rules of a row, or its defects.
@@ -106,12 +104,11 @@ class _PolicyMaker:
             subject = self._subject(row)
             self.parts.setdefault(subject, []).extend(self._of(row))
         except ComArmorError as error:
-            if len(self.diagnostics) >= _MOST_DIAGNOSTICS or any(
-                each.code == "table-limit" for each in error.diagnostics
-            ):
-                raise
-            self.diagnostics += error.diagnostics
             self.parts.clear()  # there is no policy
+            is_limit = any(each.code == "table-limit" for each in error.diagnostics)
+            if is_limit or len(self.defects.found) >= _MOST_DIAGNOSTICS:
+                raise
+            self.defects.found += error.diagnostics
 
     def _subject(self, row: TableRow) -> str:
         """Return the expression of a row's subjects."""
