@@ -18,7 +18,7 @@ from keymint.command_line.named_files import read_input
 from keymint.command_line.options import prove_option
 from keymint.command_line.verb import FILE, Report, Run, argument, option, verb
 from keymint.commands.robots.accept import fingerprint
-from keymint.commands.robots.bundle import bundle_output_option, require_output, write_bundles
+from keymint.commands.robots.bundle import MadeBundle, bundle_output_option, plan_bundles, require_output, write_bundles
 from keymint.errors import KeymintError, usage_error
 from keymint.life.examine import Keyring
 from keymint.life.package_issuance import place_of, plan_issuance
@@ -27,7 +27,6 @@ from keymint.names import package_name, subject_of
 from keymint.pki import keys
 from keymint.pki.distinguished_names import common_name
 from keymint.robots import certification_request as requests
-from keymint.robots.bundle_making import MadeBundle, plan_bundles
 from keymint.robots.certification_request import CertificationRequest
 from keymint.stages.pipeline import Request, conduct
 from keymint.stages.work import InstallRequest, Work

@@ -10,10 +10,10 @@ import pytest
 
 from comarmor.errors import Origin
 from keymint.authority.authorities import plan_authorities
+from keymint.commands.robots.bundle import MadeBundle, plan_bundles
 from keymint.errors import KeymintError
 from keymint.life.register import loaded_register
 from keymint.robots import bundle
-from keymint.robots.bundle_making import MadeBundle, plan_bundles
 from keymint.robots.certification_request import CertificationRequest
 from tests.conftest import NOW
 from tests.keymint.stages.sessions import session_of
