@@ -31,7 +31,7 @@ class RosProfileType(ProfileType):
     with_distro = lazy("keymint_ros.profile_reader:with_distro")
     with_policy = lazy("keymint_ros.profile_reader:with_policy")
     settings = lazy("keymint_ros.profile_reader:settings")
-    with_own_signer = lazy("keymint_ros.taken_over:with_own_signer")
+    with_own_signer = lazy("keymint_ros.package_writer:with_own_signer")
     with_authority_issuance = lazy("keymint_ros.decisions:with_authority_issuance")
     with_packages = lazy("keymint_ros.decisions:with_packages")
 
@@ -50,8 +50,8 @@ class RosPackageType(PackageType):
     former_rules = lazy("keymint_ros.package_writer:former_rules")
     rule_places = lazy("keymint_ros.package_reader:rule_places")
     with_validity = lazy("keymint_ros.package_writer:with_validity")
-    with_unique_name = lazy("keymint_ros.taken_over:with_unique_name")
-    adopted_sources = lazy("keymint_ros.taken_over:adopted_sources")
+    with_unique_name = lazy("keymint_ros.package_writer:with_unique_name")
+    adopted_sources = lazy("keymint_ros.package_writer:adopted_sources")
     issuance = lazy("keymint_ros.decisions:issuance")
     with_issuance = lazy("keymint_ros.decisions:with_issuance")
 

@@ -17,6 +17,8 @@ from keymint.errors import KeymintError
 MARKER = "keymint_package.xml"
 ISSUANCE = "issuance.xml"
 """What an authority decided about the certificate of the package; see :mod:`keymint_ros.decisions`."""
+ADOPTED = "adopted."
+"""Prefix of the files of a package that are documents which another tool signed: ``adopted.permissions.xml``."""
 BUILD_TYPE = "keymint_ros2_dds"
 SIGNER = "permissions_ca"
 """Name of the authority that signs documents, where one alone does; packages of 2018 and new profiles name it."""

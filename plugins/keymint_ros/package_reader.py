@@ -33,9 +33,8 @@ from keymint.ir import DeferredRules, Rule, SubjectRules
 from keymint.names import subject_of
 from keymint_ros import certificate, decisions, manifest, permissions, validity
 from keymint_ros.certificate import IssuedElement
-from keymint_ros.manifest import MARKER, SIGNER, PackageManifest, PackagePart
+from keymint_ros.manifest import ADOPTED, MARKER, SIGNER, PackageManifest, PackagePart
 from keymint_ros.profile_reader import base_of
-from keymint_ros.taken_over import PREFIX
 
 _Issued = TypeVar("_Issued", CertificateSpec, Grant)
 
@@ -252,7 +251,7 @@ def load(
         issuers=tuple(_issuers(profile, identity.issuer)),
         role=package_manifest.role,
         issuance=issued,
-        kept={path.removeprefix(PREFIX): each for path, each in files.items() if path.startswith(PREFIX)},
+        kept={path.removeprefix(ADOPTED): each for path, each in files.items() if path.startswith(ADOPTED)},
     )
 
 
