@@ -23,11 +23,11 @@ from keymint.executors import PROCESSES, Pool
 from keymint.names import package_name
 from keymint.output.console import Console, Streams
 from keymint.output.report import Report, merged_diagnostics
-from keymint.pki.tokens.token_sessions import Pins, Tokens
+from keymint.pki.tokens.token_sessions import Tokens
 from keymint.run.execution import RECORD, Workers, execute, open_store, remember, require_register
 from keymint.store.changes import File, Plan, Step
 from keymint.store.journal import Journal, intent_of
-from keymint.store.store import LOCK, clock, folder_lock, read_lock
+from keymint.store.store import LOCK, clock, path_lock
 from keymint.view.folder_status import Sight
 from keymint.view.recorded_answers import Call
 from keymint.view.stamps import MAX_RECORD, State
@@ -106,7 +106,7 @@ class Run:
         """Who plans packages for the conductor of the stages."""
         if self.has_cluster:
             self.crew.compile_elsewhere = self._compile_elsewhere
-        self.tokens = Tokens(setting.environment, Pins(setting.environment, setting.ask).pin)
+        self.tokens = Tokens(setting.environment, setting.ask)
         self._named: Path | None = options.get("workspace")
         self._spaces: dict[str, Path] = {
             space: folder for space in SPACES if (folder := options.get(f"{space}_space")) is not None
@@ -175,8 +175,8 @@ class Run:
         for _ in range(2):  # another run may create the lock meanwhile
             waiting = self.console.waiting
             with (
-                read_lock(workspace.state, waiting) as locked,
-                folder_lock(workspace.private, fcntl.LOCK_SH, waiting),
+                path_lock(workspace.state / LOCK, fcntl.LOCK_SH, waiting) as locked,
+                path_lock(workspace.private, fcntl.LOCK_SH, waiting),
             ):
                 inputs = self.inputs(workspace)
                 for space in workspace.spaces():

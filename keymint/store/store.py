@@ -21,14 +21,13 @@ import fcntl
 import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 from time import sleep  # waits, and does not tell the time
 
 from keymint.store import journal
 from keymint.store.changes import File, FolderChange
-from keymint.store.file_writing import is_temporary, reported
+from keymint.store.file_writing import FILE, is_temporary, reported
 from keymint.store.group_commit import commit
 from keymint.store.journal import Journal
 from keymint.store.open_folders import OpenFolders, Roots
@@ -42,44 +41,26 @@ _UNSUPPORTED = frozenset({errno.EBADF, errno.EINVAL, errno.ENOLCK, errno.ENOSYS,
 """What file systems say that lock no folders; see flock(2), "NFS details"."""
 
 
-def read_lock(records: Path, on_wait: Callable[[], None]) -> AbstractContextManager[bool]:
-    """Hold the workspace lock for reading, which keeps writers out but admits other readers.
+@contextlib.contextmanager
+def path_lock(path: Path, operation: int, on_wait: Callable[[], None]) -> Iterator[bool]:
+    """Hold the lock of a workspace, or that of a folder itself, for which it needs no file.
 
-    If the lock does not exist, or cannot be opened or locked (e.g. in a copy or on a read-only file system), the
-    workspace is read without it: no writer can take the lock there either.
-
-    Args:
-        records: folder of the lock.
-        on_wait: called once before waiting for a writer that holds the lock.
-
-    Returns:
-        A context whose value tells whether the lock is held.
-    """
-    return _held(records / LOCK, os.O_NONBLOCK, fcntl.LOCK_SH, on_wait)
-
-
-def folder_lock(folder: Path, operation: int, on_wait: Callable[[], None]) -> AbstractContextManager[bool]:
-    """Hold the lock of a folder itself, for which it needs no file.
+    If the path does not exist, or cannot be opened or locked to read (e.g. in a copy or on a read-only file system), it
+    is read without the lock: no writer can take it there either.
 
     Args:
-        folder: the folder; if it does not exist, cannot be opened, or its file system locks no folders (e.g. NFS, to
-            write), it is not locked. To read, no other failure matters either.
-        operation: ``LOCK_SH`` to read, ``LOCK_EX`` to write.
+        path: the lock file, or the folder; if its file system locks no folders (e.g. NFS, to write), it is not locked.
+        operation: ``LOCK_SH`` to read, which admits other readers; ``LOCK_EX`` to write.
         on_wait: called once before waiting for another process that holds the lock.
 
-    Returns:
-        A context whose value tells whether the lock is held.
+    Yields:
+        Whether the lock is held.
 
     Raises:
         OSError: it cannot be locked to write.
     """
-    return _held(folder, os.O_DIRECTORY, operation, on_wait)
-
-
-@contextlib.contextmanager
-def _held(path: Path, flags: int, operation: int, on_wait: Callable[[], None]) -> Iterator[bool]:
     try:
-        opened = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | flags)
+        opened = os.open(path, FILE)
     except OSError:
         yield False
         return
@@ -178,7 +159,7 @@ class Store:
 
     def _lock(self, root: str, on_wait: Callable[[], None]) -> None:
         with reported(root):
-            self._locks.enter_context(folder_lock(Path(root), fcntl.LOCK_EX, on_wait))
+            self._locks.enter_context(path_lock(Path(root), fcntl.LOCK_EX, on_wait))
 
     def lock_missing(self, on_wait: Callable[[], None]) -> bool:
         """Create the private folders that were missing when :meth:`locked` was entered, and lock them.

@@ -20,7 +20,7 @@ from keymint_ros2_dds.transports.enclave_model import EnclaveModel
 from keymint_ros2_dds.vendors.participants import RefusedError, System, Vendor
 
 from keymint.api import Environment, InstalledEnclave, Issuance, KeySpec
-from keymint.pki.tokens.token_sessions import PIN_VARIABLE, Pins, Tokens
+from keymint.pki.tokens.token_sessions import PIN_VARIABLE, Tokens
 from tests.conftest import CHECKOUT
 from tests.softhsm import PIN, SoftHsm
 
@@ -92,7 +92,7 @@ def robot(tmp_path: Path, softhsm: SoftHsm) -> Path:
     keymint(tmp_path, "provision", POLICY, "-w", "ws")
     ws = tmp_path / "ws"
     uri = softhsm.make_key("talker")
-    tokens = Tokens({}, Pins({PIN_VARIABLE: PIN}).pin)
+    tokens = Tokens({PIN_VARIABLE: PIN})
     public = tokens.public_key(KeySpec("ec", "SECP256R1", uri=uri))
     tokens.close()
     document = ws / "src/talker/identities.xml"

@@ -25,7 +25,7 @@ from keymint.api import BuildOptions, LoadedPolicy
 from keymint.api.plugin_loader import Plugins
 from keymint.authority.authorities import plan_authorities
 from keymint.errors import KeymintError
-from keymint.pki.tokens.token_sessions import Pins, Tokens
+from keymint.pki.tokens.token_sessions import Tokens
 from keymint.stages.build import BuildStage
 from keymint.stages.create import CreateStage, packages_to_create
 from keymint.stages.install import InstallStage
@@ -206,7 +206,7 @@ def test_all_stages_plan_with_a_mutated_document_or_reject_it(workspace: Path) -
     }
     before = _tree(workspace)
     now = datetime.fromtimestamp(int(os.environ["SOURCE_DATE_EPOCH"]), UTC)
-    tokens = Tokens({}, Pins({}).pin)
+    tokens = Tokens({})
     policy = load_policy(Inputs(at, Tree(), State(), plugins, {}, now, tokens).session())
     outcomes: Counter[str] = Counter()
     for seed in range(DOCUMENTS):

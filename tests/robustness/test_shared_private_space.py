@@ -36,7 +36,7 @@ def paused(*arguments):
 
 setattr(where, name, paused)
 if sys.argv[2] == "unlocked":
-    store.folder_lock = lambda *arguments: contextlib.nullcontext(False)
+    store.path_lock = lambda *arguments: contextlib.nullcontext(False)
 sys.exit(cli.main(sys.argv[3:]))
 """
 """Pauses a run of the command line in front of a function, until a line comes."""

@@ -13,12 +13,10 @@ import functools
 import os
 import stat
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import field
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from comarmor.errors import Origin
 from comarmor.text import did_you_mean, first_few
-from comarmor.values import dataclass
 from keymint.api import KeySpec
 from keymint.errors import KeymintError
 
@@ -36,8 +34,6 @@ PIN_MISSING, PIN_REFUSED = "token-pin-missing", "token-pin-file"
 """Codes of errors: there is no PIN; the file that has it is not usable."""
 _MOST_OF_PIN = 255
 """Bytes of a PIN: the longest length that tokens return is a small number (CK_TOKEN_INFO.ulMaxPinLen)."""
-PinOf = Callable[[str, str, str, Origin | None], str]
-"""Returns a PIN: :meth:`Pins.pin`."""
 _SHOWN = 4
 _Place = TypeVar("_Place")
 _Opened = tuple[Any, str]
@@ -49,12 +45,12 @@ class Tokens:
 
     Args:
         environment: environment variables.
-        pin: returns the PIN of a token.
+        ask: shows a text to the user and returns what they type, unseen; None if there is no terminal.
     """
 
-    def __init__(self, environment: Mapping[str, str], pin: PinOf) -> None:
+    def __init__(self, environment: Mapping[str, str], ask: Callable[[str], str] | None = None) -> None:
         self._environment = environment
-        self._pin = pin
+        self._ask = ask
         self._modules: dict[str, Any] = {}
         self._sessions: dict[tuple[str, int], _Opened] = {}
         """Sessions by module and slot, each with the PIN for keys that ask for it again."""
@@ -86,13 +82,38 @@ class Tokens:
             KeymintError: ``pkcs11-uri``; ``pkcs11-module``: the software for tokens is missing; ``token-missing``,
                 ``token-ambiguous``, ``token-pin``, ``token-key-missing``, ``token-key-ambiguous``, ``token-key-kind``
                 and ``token-failed``: what is wrong with the token or the key; and those of
-                :meth:`Pins.pin`.
+                :meth:`pin`.
         """
         from keymint.pki.tokens.token_objects import public_of  # noqa: PLC0415 - few runs need it
 
         key, _ = self._key(spec, where)
         with self._errors(spec, where):
             return public_of(key.session, key, where)
+
+    def pin(self, token: str, file: str, variable: str, where: Origin | None = None) -> str:
+        """Return the PIN of a token.
+
+        Args:
+            token: the token as messages and the prompt name it.
+            file: absolute path of the file that has the PIN; empty if none is named.
+            variable: name of the environment variable that has it; empty if none is named.
+            where: the place that names the key, for messages.
+
+        Raises:
+            KeymintError: ``token-pin-missing``: no source has one. ``token-pin-file``: others may read the file, or it
+                has no PIN.
+        """
+        if file:
+            return _pin_in_file(file, where)
+        variable = variable or PIN_VARIABLE
+        pin = self._environment.get(variable, "")
+        if not pin and self._ask is not None:
+            pin = self._ask(f"PIN of the token {token}: ")
+        if not pin:
+            message = f"the environment variable {variable}, which holds the PIN of the token {token}, is not set"
+            help_ = f"export {variable}=…, run it in a terminal, or name a file of mode 0600: ?pin-source=file:/path"
+            raise _error(PIN_MISSING, message, where, help_)
+        return pin
 
     def close(self) -> None:
         """Log out of all tokens, and release their modules."""
@@ -169,7 +190,7 @@ class Tokens:
                 return token.open(), ""
             if token.flags & TokenFlag.PROTECTED_AUTHENTICATION_PATH:  # the PIN is typed at the token
                 return token.open(user_pin=PROTECTED_AUTH), ""
-        pin = self._pin(token.label or uri.path, uri.pin_file, spec.pin_env, where)
+        pin = self.pin(token.label or uri.path, uri.pin_file, spec.pin_env, where)
         with self._errors(spec, where, token.label):
             return token.open(user_pin=pin.encode(errors="surrogateescape").decode("utf-8", "strict")), pin
 
@@ -273,44 +294,6 @@ def _require_system_file(path: str, where: Origin | None) -> None:
 
 
 # -- PINs ------------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class Pins:
-    """The sources of PINs of one run.
-
-    Attributes:
-        environment: environment variables.
-        ask: shows a text to the user and returns what they type, unseen; None if there is no terminal.
-    """
-
-    environment: Mapping[str, str] = field(repr=False)
-    ask: Callable[[str], str] | None = None
-
-    def pin(self, token: str, file: str, variable: str, where: Origin | None = None) -> str:
-        """Return the PIN of a token.
-
-        Args:
-            token: the token as messages and the prompt name it.
-            file: absolute path of the file that has the PIN; empty if none is named.
-            variable: name of the environment variable that has it; empty if none is named.
-            where: the place that names the key, for messages.
-
-        Raises:
-            KeymintError: ``token-pin-missing``: no source has one. ``token-pin-file``: others may read the file, or it
-                has no PIN.
-        """
-        if file:
-            return _pin_in_file(file, where)
-        variable = variable or PIN_VARIABLE
-        pin = self.environment.get(variable, "")
-        if not pin and self.ask is not None:
-            pin = self.ask(f"PIN of the token {token}: ")
-        if not pin:
-            message = f"the environment variable {variable}, which holds the PIN of the token {token}, is not set"
-            help_ = f"export {variable}=…, run it in a terminal, or name a file of mode 0600: ?pin-source=file:/path"
-            raise _error(PIN_MISSING, message, where, help_)
-        return pin
 
 
 def _pin_in_file(path: str, where: Origin | None) -> str:

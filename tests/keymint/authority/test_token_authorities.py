@@ -17,7 +17,7 @@ import pytest
 
 from keymint.api import KeySpec
 from keymint.pki import certificates
-from keymint.pki.tokens.token_sessions import PIN_VARIABLE, Pins, Tokens
+from keymint.pki.tokens.token_sessions import PIN_VARIABLE, Tokens
 from tests.conftest import NOW, snapshot
 from tests.keymint.pki.conftest import make_spec
 from tests.keymint.stages.keystores import AUTHORITY_KEYS, CERTIFICATES, ENCLAVES, content, public_key
@@ -401,7 +401,7 @@ def test_an_authority_of_the_company_signs_with_its_token(
     (ws / AUTHORITY_KEYS[0]).unlink()
     (ws / CERTIFICATES[0]).unlink()
     name_keys(ws, **{name: uri(spec.uri)})
-    tokens = Tokens({}, Pins(RIGHT).pin)
+    tokens = Tokens(RIGHT)
     key = tokens.private_key(spec, tokens.public_key(spec))
     (tmp_path / "company.pem").write_bytes(
         certificates.issue(make_spec("O=Company,CN=Robots"), key.public_key(), key, authority=True).pem

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from keymint.api import Environment
 from keymint.api.plugin_loader import Plugins
-from keymint.pki.tokens.token_sessions import Pins, Tokens
+from keymint.pki.tokens.token_sessions import Tokens
 from keymint.view.stamps import load
 from keymint.view.tree import Tree
 from keymint.workspace.session import Inputs, Session
@@ -22,4 +22,4 @@ def session_of(root: Path, now: float = NOW) -> Session:
     record = workspace.state / "state.json"
     state = load(record.read_bytes() if record.exists() else None)
     plugins = Plugins(environment=Environment(clock, root.parent))
-    return Inputs(workspace, Tree(), state, plugins, {}, clock, Tokens({}, Pins({}).pin)).session()
+    return Inputs(workspace, Tree(), state, plugins, {}, clock, Tokens({})).session()

@@ -14,7 +14,7 @@ from keymint_ros2_dds.emit import emission
 from keymint.api import BuildOptions, Environment
 from keymint.api.plugin_loader import Plugins
 from keymint.executors.cluster import Cluster, carry_out
-from keymint.pki.tokens.token_sessions import Pins, Tokens
+from keymint.pki.tokens.token_sessions import Tokens
 from keymint.stages.build import BuildStage, compile_elsewhere
 from keymint.view.stamps import State
 from keymint.view.tree import Tree
@@ -46,7 +46,7 @@ def session(keymint: Callable[..., Outcome], tmp_path: Path) -> Iterator[Session
     assert keymint("provision", CHECKOUT / "examples/fleet", "-w", "ws", "-q").code == 0
     workspace = Workspace.at(tmp_path / "ws", {}, tmp_path)
     plugins = Plugins(environment=Environment(CLOCK, tmp_path))
-    yield Inputs(workspace, Tree(), State(), plugins, {}, CLOCK, Tokens({}, Pins({}).pin)).session()
+    yield Inputs(workspace, Tree(), State(), plugins, {}, CLOCK, Tokens({})).session()
     emission._received.clear()
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from keymint.store.store import LOCK, Store, folder_lock, read_lock
+from keymint.store.store import LOCK, Store, path_lock
 
 
 def never() -> None:
@@ -29,7 +29,10 @@ def store(tmp_path: Path) -> Store:
 
 @pytest.mark.usefixtures("store")
 def test_readers_do_not_exclude_each_other(tmp_path: Path) -> None:
-    with read_lock(tmp_path / ".keymint", never) as first, read_lock(tmp_path / ".keymint", never) as second:
+    with (
+        path_lock(tmp_path / ".keymint" / LOCK, fcntl.LOCK_SH, never) as first,
+        path_lock(tmp_path / ".keymint" / LOCK, fcntl.LOCK_SH, never) as second,
+    ):
         assert first
         assert second
 
@@ -43,7 +46,7 @@ def test_a_reader_waits_for_a_writer(tmp_path: Path, store: Store) -> None:
         waits.set()
 
     def read() -> None:
-        with read_lock(tmp_path / ".keymint", on_wait) as held:
+        with path_lock(tmp_path / ".keymint" / LOCK, fcntl.LOCK_SH, on_wait) as held:
             order.append(f"reads {held}")
 
     reader = threading.Thread(target=read)
@@ -63,7 +66,7 @@ def test_a_writer_waits_for_a_reader(tmp_path: Path, store: Store) -> None:
             pass
 
     writer = threading.Thread(target=write)
-    with read_lock(tmp_path / ".keymint", never):
+    with path_lock(tmp_path / ".keymint" / LOCK, fcntl.LOCK_SH, never):
         writer.start()
         assert waits.wait(10)
     writer.join(10)
@@ -75,14 +78,14 @@ def test_without_a_lock_the_workspace_is_read(tmp_path: Path, kind: str) -> None
     if kind == "link":
         (tmp_path / "elsewhere").touch()
         (tmp_path / LOCK).symlink_to("elsewhere")
-    with read_lock(tmp_path, never) as held:
+    with path_lock(tmp_path / LOCK, fcntl.LOCK_SH, never) as held:
         assert not held
     assert (tmp_path / LOCK).is_symlink() is (kind == "link")
 
 
 @pytest.mark.usefixtures("store")
 def test_the_lock_is_released_after_an_error(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="inside"), read_lock(tmp_path / ".keymint", never):
+    with pytest.raises(ValueError, match="inside"), path_lock(tmp_path / ".keymint" / LOCK, fcntl.LOCK_SH, never):
         raise ValueError("inside")
     with Store({tmp_path: False}, tmp_path / ".keymint").locked(never):
         pass
@@ -93,11 +96,11 @@ def test_a_folder_is_locked_without_a_file_in_it(tmp_path: Path) -> None:
     waits = threading.Event()
 
     def write() -> None:
-        with folder_lock(tmp_path, fcntl.LOCK_EX, waits.set) as held:
+        with path_lock(tmp_path, fcntl.LOCK_EX, waits.set) as held:
             order.append(f"writes {held}")
 
     writer = threading.Thread(target=write)
-    with folder_lock(tmp_path, fcntl.LOCK_SH, never) as first, folder_lock(tmp_path, fcntl.LOCK_SH, never) as second:
+    with path_lock(tmp_path, fcntl.LOCK_SH, never) as first, path_lock(tmp_path, fcntl.LOCK_SH, never) as second:
         writer.start()
         assert waits.wait(10)
         order.append(f"read {first} {second}")
@@ -118,7 +121,7 @@ def test_what_cannot_be_locked_is_not(tmp_path: Path, monkeypatch: pytest.Monkey
             raise OSError(errno.EBADF, "NFS locks no folder for writing")
 
         monkeypatch.setattr(fcntl, "flock", refuse)
-    with folder_lock(folder, fcntl.LOCK_EX, never) as held:
+    with path_lock(folder, fcntl.LOCK_EX, never) as held:
         assert not held
 
 
@@ -127,7 +130,7 @@ def test_a_failure_to_lock_matters_to_a_writer_only(tmp_path: Path, monkeypatch:
         raise OSError(errno.EIO, "Input/output error")
 
     monkeypatch.setattr(fcntl, "flock", fail)
-    with folder_lock(tmp_path, fcntl.LOCK_SH, never) as held:
+    with path_lock(tmp_path, fcntl.LOCK_SH, never) as held:
         assert not held
-    with pytest.raises(OSError, match="Input/output error"), folder_lock(tmp_path, fcntl.LOCK_EX, never):
+    with pytest.raises(OSError, match="Input/output error"), path_lock(tmp_path, fcntl.LOCK_EX, never):
         pass

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from keymint.errors import KeymintError
-from keymint.pki.tokens.token_sessions import PIN_MISSING, PIN_REFUSED, PIN_VARIABLE, Pins
+from keymint.pki.tokens.token_sessions import PIN_MISSING, PIN_REFUSED, PIN_VARIABLE, Tokens
 
 SECRET = "4711-pin"
 
@@ -22,17 +22,17 @@ def test_a_file_that_is_named_comes_first(tmp_path: Path) -> None:
     file = tmp_path / "pin"
     file.write_text(f"{SECRET}\n")
     file.chmod(0o600)
-    assert Pins({PIN_VARIABLE: "other", "CA_PIN": "other"}, never).pin("ca", str(file), "CA_PIN") == SECRET
+    assert Tokens({PIN_VARIABLE: "other", "CA_PIN": "other"}, never).pin("ca", str(file), "CA_PIN") == SECRET
 
 
 def test_the_variable_that_is_named_comes_before_the_usual_one() -> None:
-    pins = Pins({PIN_VARIABLE: "usual", "CA_PIN": "named"}, never)
+    pins = Tokens({PIN_VARIABLE: "usual", "CA_PIN": "named"}, never)
     assert (pins.pin("ca", "", "CA_PIN"), pins.pin("ca", "", "")) == ("named", "usual")
 
 
 def test_the_user_is_asked_last() -> None:
     asked: list[str] = []
-    pins = Pins({PIN_VARIABLE: "for other tokens"}, lambda text: asked.append(text) or SECRET)
+    pins = Tokens({PIN_VARIABLE: "for other tokens"}, lambda text: asked.append(text) or SECRET)
     assert pins.pin("ca", "", "CA_PIN") == SECRET
     assert asked == ["PIN of the token ca: "]
 
@@ -40,7 +40,7 @@ def test_the_user_is_asked_last() -> None:
 @pytest.mark.parametrize("ask", [None, lambda _text: ""])
 def test_no_pin_at_all(ask: object) -> None:
     with pytest.raises(KeymintError, match="CA_PIN, which holds the PIN of the token ca, is not set") as error:
-        Pins({PIN_VARIABLE: "for other tokens"}, ask).pin("ca", "", "CA_PIN")
+        Tokens({PIN_VARIABLE: "for other tokens"}, ask).pin("ca", "", "CA_PIN")
     assert error.value.diagnostics[0].code == PIN_MISSING
 
 
@@ -92,12 +92,12 @@ def test_a_file_of_another_user_is_refused(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_no_pin_is_shown() -> None:
-    assert SECRET not in repr(Pins({PIN_VARIABLE: SECRET}))
+    assert SECRET not in repr(Tokens({PIN_VARIABLE: SECRET}))
 
 
 def refused(file: Path, problem: str) -> None:
     with pytest.raises(KeymintError) as error:
-        Pins({PIN_VARIABLE: SECRET}, never).pin("ca", str(file), "")
+        Tokens({PIN_VARIABLE: SECRET}, never).pin("ca", str(file), "")
     (found,) = error.value.diagnostics
     assert found.code == PIN_REFUSED
     assert problem in found.message

@@ -34,8 +34,8 @@ class Asked:
     pin: str = PIN
     for_tokens: list[str] = field(default_factory=list)
 
-    def __call__(self, token: str, *_: object) -> str:
-        self.for_tokens.append(token)
+    def __call__(self, text: str) -> str:
+        self.for_tokens.append(text.removeprefix("PIN of the token ").removesuffix(": "))
         return self.pin
 
 
