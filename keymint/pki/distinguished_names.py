@@ -223,18 +223,14 @@ def _attribute(kind: str, value: str, name: str) -> x509.NameAttribute[str]:
     oid, most = _type(kind)
     short = _SHORT.get(oid, kind)
     size = len(value.encode())
-    problem = ""
-    if not value:
-        problem = "is empty"
-    elif not value.isprintable():
-        problem = "has a control character"
-    elif size > most:
-        problem = f"has {size} bytes, the maximum is {most} (RFC 5280)"
-    elif short == "C" and size != most:
-        problem = "must be a country code of two letters"
-    elif short in _ASCII_TYPES and not value.isascii():
-        problem = "must be ASCII"
-    if problem:
+    problems = (
+        (not value, "is empty"),
+        (not value.isprintable(), "has a control character"),
+        (size > most, f"has {size} bytes, the maximum is {most} (RFC 5280)"),
+        (short == "C" and size != most, "must be a country code of two letters"),
+        (short in _ASCII_TYPES and not value.isascii(), "must be ASCII"),
+    )
+    if problem := next((text for applies, text in problems if applies), ""):
         too_long = short == "CN" and size > most
         help_ = "OU={unique},CN={common_name} shortens it and keeps it unique" if too_long else _EXAMPLE
         raise _invalid(name, f"{short} {problem}", help_)

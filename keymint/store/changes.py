@@ -162,10 +162,9 @@ class Plan:
         """
         changed: list[tuple[str, Content]] = []
         for change in self.changes():
-            if below and not f"{change.folder}/".startswith(below):
-                continue
-            changed += [(f"{change.folder}/{name}", file) for name, file in change.written.items()]
-            changed += [(f"{change.folder}/{name}", None) for name in change.removed]
+            if f"{change.folder}/".startswith(below):
+                changed += [(f"{change.folder}/{name}", file) for name, file in change.written.items()]
+                changed += [(f"{change.folder}/{name}", None) for name in change.removed]
         return changed
 
     def writes(self) -> bool:

@@ -27,10 +27,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NoReturn
 
-from comarmor.errors import Origin
 from comarmor.text import quote
-from keymint.errors import KeymintError
 from keymint.store.changes import File, file_mode
+from keymint.view.file_reading import file_error
 
 PREFIX, SUFFIX = ".keymint-", ".tmp"
 """Prefix and suffix of the names of temporary files and folders."""
@@ -125,13 +124,9 @@ def make_folder(name: str | Path, mode: int, parent: int | None = None) -> None:
 def check_component(name: str, folder: str | Path) -> None:
     """Raise an error for text that cannot be the name of a file."""
     if name in {"", ".", ".."} or "/" in name or "\0" in name:
-        raise KeymintError(f"{name!r} is not a file name", where=Origin(str(folder)), code="confined")
+        raise file_error(folder, "confined", f"{name!r} is not a file name")
     if len(os.fsencode(name)) > MAX_COMPONENT:
-        raise KeymintError(
-            f"the name {quote(name, 40)} is longer than {MAX_COMPONENT} bytes",
-            where=Origin(str(folder)),
-            code="confined",
-        )
+        raise file_error(folder, "confined", f"the name {quote(name, 40)} is longer than {MAX_COMPONENT} bytes")
 
 
 def require_regular(folder: int, shown: str | Path, name: str, *, or_link: bool = False) -> os.stat_result | None:
@@ -154,12 +149,8 @@ def require_regular(folder: int, shown: str | Path, name: str, *, or_link: bool 
         return None
     if not stat.S_ISREG(status.st_mode):
         kind = "a symbolic link" if stat.S_ISLNK(status.st_mode) else "not a regular file"
-        raise KeymintError(
-            f"is {kind}, so it is not replaced",
-            where=Origin(f"{shown}/{name}"),
-            help="remove it if it is not yours",
-            code="symlink-refused",
-        )
+        message = f"is {kind}, so it is not replaced"
+        raise file_error(f"{shown}/{name}", "symlink-refused", message, "remove it if it is not yours")
     return status
 
 
@@ -184,12 +175,11 @@ def refuse(path: str | Path, error: OSError) -> NoReturn:
     if error.errno == errno.ELOOP or (
         error.errno == errno.ENOTDIR and any(above.is_symlink() for above in (path, *path.parents))
     ):
-        raise KeymintError(
+        message, help_ = (
             "a symbolic link is in the way, which is refused",
-            where=Origin(str(path)),
-            help="remove it, or set the space with its option",
-            code="symlink-refused",
-        ) from error
+            "remove it, or set the space with its option",
+        )
+        raise file_error(path, "symlink-refused", message, help_) from error
     helps = {
         errno.ENOSPC: "free some space and run again; the previous files are intact",
         errno.EDQUOT: "free some space and run again; the previous files are intact",
@@ -197,12 +187,8 @@ def refuse(path: str | Path, error: OSError) -> NoReturn:
         errno.EPERM: "check the owner and mode of the folder",
         errno.EROFS: "the file system is mounted read-only",
     }
-    raise KeymintError(
-        f"cannot be written: {os.strerror(error.errno or 0)}",
-        where=Origin(str(path)),
-        help=helps.get(error.errno or 0, ""),
-        code="write-failed",
-    ) from error
+    message = f"cannot be written: {os.strerror(error.errno or 0)}"
+    raise file_error(path, "write-failed", message, helps.get(error.errno or 0, "")) from error
 
 
 def mount_of(opened: int) -> str:

@@ -16,9 +16,7 @@ from collections.abc import Collection, Iterator
 from dataclasses import field
 from typing import NoReturn
 
-from comarmor.errors import Origin
 from comarmor.values import dataclass
-from keymint.errors import KeymintError
 from keymint.store.changes import File
 from keymint.store.file_writing import (
     FILE,
@@ -32,6 +30,7 @@ from keymint.store.file_writing import (
     require_regular,
     write_all,
 )
+from keymint.view.file_reading import file_error
 
 _NO_LINK = {errno.EPERM, errno.EMLINK, errno.EOPNOTSUPP, errno.ENOSYS}
 """Errors where no hard link can be made: the file system has none, or the file belongs to another user."""
@@ -182,20 +181,17 @@ def _copy(old: int, new: int, shown: str, name: str) -> None:
         os.symlink(os.readlink(name, dir_fd=old), name, dir_fd=new)
         return
     if not stat.S_ISREG(status.st_mode):
-        raise KeymintError(
-            "is not a regular file, and cannot be kept when its folder is replaced",
-            where=Origin(shown), help="remove it, or move it elsewhere", code="carry-refused",
-        )  # fmt: skip
+        message = "is not a regular file, and cannot be kept when its folder is replaced"
+        raise file_error(shown, "carry-refused", message, "remove it, or move it elsewhere")
     with open_at(name, old, FILE) as source, open_at(name, new, NEW_FILE) as target:
         while chunk := os.read(source, 1 << 20):
             write_all(target, chunk)
         give(target, (status.st_uid, status.st_gid))
         made = os.fstat(target)
         if (made.st_uid, made.st_gid) != (status.st_uid, status.st_gid):
-            raise KeymintError(
-                f"belongs to user {status.st_uid} and group {status.st_gid}, and cannot be kept in a new folder",
-                where=Origin(shown), help="run as that user or as root, or change its owner", code="carry-refused",
-            )  # fmt: skip
+            owner = f"user {status.st_uid} and group {status.st_gid}"
+            message = f"belongs to {owner}, and cannot be kept in a new folder"
+            raise file_error(shown, "carry-refused", message, "run as that user or as root, or change its owner")
         _copy_attributes(source, target)
         os.fchmod(target, stat.S_IMODE(status.st_mode))
         os.utime(target, ns=(status.st_atime_ns, status.st_mtime_ns))
@@ -215,9 +211,5 @@ def _copy_attributes(old: int, new: int) -> None:
 
 def refuse_mount(shown: str) -> NoReturn:
     """Raise the error for a folder that cannot be replaced because it is a mount point."""
-    raise KeymintError(
-        "is a mount point, which cannot be replaced",
-        where=Origin(shown),
-        help="unmount it; mount the folder above the enclaves instead",
-        code="mount-refused",
-    )
+    help_ = "unmount it; mount the folder above the enclaves instead"
+    raise file_error(shown, "mount-refused", "is a mount point, which cannot be replaced", help_)

@@ -103,13 +103,9 @@ def intent_of(arguments: Sequence[str], folder: Path) -> Journal:
         is_input = not before.startswith(_OUTPUTS) and not word.startswith(_OUTPUTS) and path.exists()
         parts += [str(path.resolve()), _digest(str(path)) or ""] if is_input else [word]
         if is_input and not before.startswith("-") and path.is_dir():
-            parts += sorted(map(_fingerprint, itertools.islice(path.rglob("*"), _MOST_FILES)))
+            inside = {each: each.lstat() for each in itertools.islice(path.rglob("*"), _MOST_FILES)}
+            parts += sorted(f"{each} {status.st_size} {status.st_mtime_ns}" for each, status in inside.items())
     return Journal(shlex.join(words), digest(*parts))
-
-
-def _fingerprint(path: Path) -> str:
-    status = path.lstat()
-    return f"{path} {status.st_size} {status.st_mtime_ns}"
 
 
 def load(content: bytes, records: Path) -> Journal:

@@ -9,9 +9,8 @@ import stat
 from collections.abc import Mapping
 from pathlib import Path
 
-from comarmor.errors import Origin
-from keymint.errors import KeymintError
 from keymint.store.file_writing import FOLDER, check_component, make_folder, open_at, reported
+from keymint.view.file_reading import file_error
 
 
 class Roots:
@@ -39,7 +38,7 @@ class Roots:
         for prefix, root in self._prefixes.items():
             if text.startswith(prefix) and "/../" not in text:
                 return root
-        raise KeymintError("is outside the workspace", where=Origin(path), code="confined")
+        raise file_error(path, "confined", "is outside the workspace")
 
 
 class OpenFolders(contextlib.AbstractContextManager["OpenFolders"]):

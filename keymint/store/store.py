@@ -140,22 +140,18 @@ class Store:
         Args:
             on_wait: called before waiting for another process that holds a lock.
         """
-        with OpenFolders(self._roots) as folders:
-            records = folders.open(str(self._records))
-            with reported(self._records / LOCK):
+        with contextlib.ExitStack() as self._locks:
+            with OpenFolders(self._roots) as folders, reported(self._records / LOCK):
+                records = folders.open(str(self._records))
                 lock = os.open(LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644, dir_fd=records)
-        try:
-            with reported(self._records / LOCK):
+                self._locks.callback(os.close, lock)
                 wait_for_lock(lock, fcntl.LOCK_EX, on_wait)
-            with contextlib.ExitStack() as self._locks:
-                private = [root for root, private in self._roots.private.items() if private]
-                self.missing = tuple(root for root in private if not os.path.isdir(root))
-                for root in private:
-                    if root not in self.missing:
-                        self._lock(root, on_wait)
-                yield
-        finally:
-            os.close(lock)
+            private = [root for root, private in self._roots.private.items() if private]
+            self.missing = tuple(root for root in private if not os.path.isdir(root))
+            for root in private:
+                if root not in self.missing:
+                    self._lock(root, on_wait)
+            yield
 
     def _lock(self, root: str, on_wait: Callable[[], None]) -> None:
         with reported(root):

@@ -36,25 +36,17 @@ def read_file(path: Path | str, most: int | None = None) -> bytes | None:
         return None
     except OSError as error:
         if error.errno == errno.ELOOP:
-            raise KeymintError(
-                "is a symbolic link, which is refused here",
-                where=Origin(str(path)),
-                help="replace it by the file itself",
-                code="symlink-refused",
-            ) from error
+            message = "is a symbolic link, which is refused here"
+            raise file_error(path, "symlink-refused", message, "replace it by the file itself") from error
         raise read_error(path, error) from error
     try:
         status = os.fstat(descriptor)
         if not stat.S_ISREG(status.st_mode):
-            raise KeymintError("is not a regular file", where=Origin(str(path)), code="file-kind")
+            raise file_error(path, "file-kind", "is not a regular file")
         if most is None:
             most = MAX_REGISTER if str(path).endswith(REGISTER) else MAX_FILE
         if status.st_size > most:
-            raise KeymintError(
-                f"has {status.st_size} bytes, {most} are the most",
-                where=Origin(str(path)),
-                code="file-size",
-            )
+            raise file_error(path, "file-size", f"has {status.st_size} bytes, {most} are the most")
         chunks = [os.read(descriptor, status.st_size + 1)]
         while len(chunks[0]) != status.st_size and (chunk := os.read(descriptor, status.st_size + 1)):
             chunks.append(chunk)
@@ -67,12 +59,20 @@ def read_file(path: Path | str, most: int | None = None) -> bytes | None:
 
 def read_error(path: Path | str, error: OSError) -> KeymintError:
     """Return the error for a file that cannot be read."""
-    return KeymintError(
-        f"cannot be read: {os.strerror(error.errno or 0)}",
-        where=Origin(str(path)),
-        help="check its owner and mode",
-        code="file-unreadable",
-    )
+    message = f"cannot be read: {os.strerror(error.errno or 0)}"
+    return file_error(path, "file-unreadable", message, "check its owner and mode")
+
+
+def file_error(path: Path | str, code: str, message: str, help_: str = "") -> KeymintError:
+    """Return an error about a file or folder.
+
+    Args:
+        path: its path.
+        code: stable identifier in kebab-case.
+        message: what is wrong with it.
+        help_: how to fix it.
+    """
+    return KeymintError(message, where=Origin(str(path)), help=help_, code=code)
 
 
 class FileStatus(NamedTuple):

@@ -120,16 +120,14 @@ def enclave_files(session: Session, name: str) -> tuple[Mapping[str, bytes], tup
     for file in entries:
         path = f"{folder}/{file}"
         try:
-            content = session.tree.read(path)
+            if (content := session.tree.read(path)) is not None:
+                files[file] = content
         except KeymintError as error:
             where = session.workspace.origin(path)
             unreadable += (
                 replace(each, where=where, help=each.help or "remove it", subject=subject_of(name))
                 for each in error.diagnostics
             )
-            continue
-        if content is not None:
-            files[file] = content
     return files, tuple(unreadable)
 
 

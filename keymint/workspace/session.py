@@ -308,14 +308,11 @@ class Session(Inputs):
 
     def sources_digest(self, name: str) -> str:
         """Return the digest of all that a package is loaded from except the profile, its infrastructure included."""
-        return self._sources_digest(name, self.workspace.install)
-
-    @once_of_sources
-    def _sources_digest(self, name: str, install: Path) -> str:
         infrastructure = self.infrastructure()
-        placed = (str(install),) if infrastructure else ()
+        placed = (str(self.workspace.install),) if infrastructure else ()
         return digest(*placed, self._sources(name)[1], *map(self._named_digest, infrastructure))
 
+    @once_of_sources
     def _named_digest(self, name: str) -> str:
         """Return a digest of what the documents of other packages may have from a package of infrastructure.
 
