@@ -158,7 +158,7 @@ def test_only_git_and_the_vendors_start_programs(run: tuple[list[int], list[Even
 KEYSTORES = ("ws/install/", "ws/private/", "ws/public/", "robot/")
 """Where installed files lie, below the folder of the run."""
 OPENERS = {
-    "keymint/view/file_reading.py", "keymint/view/folder_status.py", "keymint/view/tree.py",
+    "keymint/view/file_reading.py", "keymint/view/recorded_answers.py", "keymint/view/tree.py",
     # It reads keystores of other tools, which are no workspace; the bytes by a reader that stays in a folder.
     "keymint/adoption/keystore_files.py", "comarmor/xml/sandboxed_paths.py",
 }  # fmt: skip

@@ -34,8 +34,7 @@ from keymint.store.changes import Action, File, FolderChange, Plan, Step
 from keymint.store.journal import Journal
 from keymint.store.staged import Exchange
 from keymint.store.store import Store, clock
-from keymint.view.folder_status import Sight
-from keymint.view.recorded_answers import Answer, Call, is_recordable, name_of, record
+from keymint.view.recorded_answers import Answer, Call, Sight, is_recordable, name_of, record
 from keymint.view.stamps import State
 from keymint.view.tree import Tree
 from keymint.workspace.package_build_types import BUILD, may_share

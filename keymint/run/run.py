@@ -28,8 +28,7 @@ from keymint.run.execution import RECORD, Workers, execute, open_store, remember
 from keymint.store.changes import File, Plan, Step
 from keymint.store.journal import Journal, intent_of
 from keymint.store.store import LOCK, clock, path_lock
-from keymint.view.folder_status import Sight
-from keymint.view.recorded_answers import Call
+from keymint.view.recorded_answers import Call, Sight
 from keymint.view.stamps import MAX_RECORD, State
 from keymint.view.stamps import load as load_state
 from keymint.view.tree import HeldError, Tree, read_file

@@ -26,9 +26,8 @@ from keymint.store.file_writing import (
     sync_tree,
     temporary,
 )
-from keymint.store.folder_staging import NOT_EMPTY
 from keymint.store.open_folders import OpenFolders, Roots, close_to_others
-from keymint.store.staged import Exchange, remove_staged
+from keymint.store.staged import NOT_EMPTY, Exchange, remove_staged
 
 WAITING = ".next"
 """Suffix of the name of a complete new folder whose place is being cleared."""

@@ -3,31 +3,48 @@
 
 What changes in one folder appears in one step, and with it the changes in its subfolders: a new folder is staged whole,
 and so is the replacement of a folder in which several files change.
+
+The folder of an enclave may contain the folders of other enclaves, and files that Keymint does not know. In the
+replacement of a folder, files are carried over as hard links: they keep their inode, bytes, owner, mode and attributes,
+and nothing is copied. Folders are created again with the same mode, owner and attributes (access-control lists).
 """
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import shutil
-from collections.abc import Iterable, Iterator, Mapping
+import stat
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import field
+from typing import NoReturn
 
 from comarmor.values import dataclass
 from keymint.store.changes import File, FolderChange
 from keymint.store.file_writing import (
+    FILE,
     FOLDER,
+    NEW_FILE,
     check_component,
     create,
+    give,
+    is_temporary,
     mount_of,
     open_at,
     refuse,
     reported,
     require_regular,
     temporary,
+    write_all,
 )
-from keymint.store.folder_staging import FolderContent, add, refuse_mount, stage
 from keymint.store.open_folders import OpenFolders, Roots, close_to_others
+from keymint.view.file_reading import file_error
+
+_NO_LINK = {errno.EPERM, errno.EMLINK, errno.EOPNOTSUPP, errno.ENOSYS}
+"""Errors where no hard link can be made: the file system has none, or the file belongs to another user."""
+NOT_EMPTY = {errno.EEXIST, errno.ENOTEMPTY}
+"""Errors of renaming onto a folder that is not empty, or of removing it (POSIX allows either)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +72,44 @@ class Exchange:
     changed: Mapping[str, str | None] = field(default_factory=dict)
     carried: Mapping[str, int] = field(default_factory=dict)
     size: int = 0
+
+
+@dataclass(slots=True)
+class FolderContent:
+    """The new content of a folder and its subfolders.
+
+    Attributes:
+        files: files to write, by name.
+        removed: names of files to remove.
+        mode: mode of a new folder; an existing one keeps its mode.
+        private: set the folder's mode to 0700 if others can enter it.
+        folders: new content of the subfolders that change, by name.
+        order: number of the first change here or below.
+        own: number of the last change here.
+    """
+
+    files: dict[str, File] = field(default_factory=dict)
+    removed: set[str] = field(default_factory=set)
+    mode: int = 0o755
+    private: bool = False
+    folders: dict[str, FolderContent] = field(default_factory=dict)
+    order: int = 0
+    own: int = 0
+
+    def size(self) -> int:
+        """Return the number of files that are written here or below."""
+        return len(self.files) + sum(inner.size() for inner in self.folders.values())
+
+    def removes(self) -> bool:
+        """Tell whether a file is removed here or below."""
+        return bool(self.removed) or any(inner.removes() for inner in self.folders.values())
+
+    def changed(self, inside: str = "") -> Iterator[tuple[str, str | None]]:
+        """Yield the path of each file that changes here or below, with its new digest, or None if it is removed."""
+        yield from ((f"{inside}{name}", file.digest) for name, file in self.files.items())
+        yield from ((f"{inside}{name}", None) for name in sorted(self.removed))
+        for name, inner in self.folders.items():
+            yield from inner.changed(f"{inside}{name}/")
 
 
 class Staging:
@@ -220,3 +275,145 @@ def remove(folder: int, name: str) -> None:
         os.unlink(name, dir_fd=folder)
     except OSError:
         shutil.rmtree(name, ignore_errors=True, dir_fd=folder)
+
+
+# -- the replacement of a folder ---------------------------------------------------------------------------------------
+
+
+def stage(
+    old: int, new_parent: int, name: str, shown: str, content: FolderContent, carried: dict[str, int], inside: str = ""
+) -> None:
+    """Create the replacement of a folder, unless it would be empty.
+
+    Args:
+        old: the existing folder, open.
+        new_parent: the open folder in which to create the replacement.
+        name: name of the replacement.
+        shown: path of the existing folder, for messages.
+        content: its new content.
+        carried: receives the inode of each file that is carried over, by its path.
+        inside: begin of these paths.
+
+    Raises:
+        KeymintError: the system refuses, a link or another kind of file is in the way, or a file system is mounted
+            inside the folder. The caller must remove what was created so far.
+    """
+    with reported(shown):
+        status = os.fstat(old)
+        if not os.access(".", os.W_OK | os.X_OK, dir_fd=old, effective_ids=True):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+        os.mkdir(name, 0o700, dir_fd=new_parent)
+        with open_at(name, new_parent) as new:
+            give(new, (status.st_uid, status.st_gid))
+            _copy_attributes(old, new)
+            _carry(old, new, shown, content, carried, inside)
+            for file, changed in content.files.items():
+                replaced = require_regular(old, shown, file, or_link=changed.replaces_link) or status
+                create(new, shown, file, changed, (replaced.st_uid, replaced.st_gid))
+            _add_folders(new, shown, content, [each.name for each in os.scandir(new) if each.is_dir()])
+            if content.removes() and not list(os.scandir(new)):
+                os.rmdir(name, dir_fd=new_parent)
+                return
+            mode = stat.S_IMODE(status.st_mode)
+            os.fchmod(new, 0o700 if content.private and mode & 0o077 else mode)
+
+
+def _carry(old: int, new: int, shown: str, content: FolderContent, carried: dict[str, int], inside: str) -> None:
+    """Carry over the entries that do not change, and stage the subfolders."""
+    mount = mount_of(old)
+    for entry in sorted(os.scandir(old), key=lambda entry: entry.name):
+        name = entry.name
+        if is_temporary(name):
+            continue
+        if entry.is_dir(follow_symlinks=False):
+            if name in content.removed:
+                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+            with open_at(name, old) as inner:
+                if mount_of(inner) != mount:
+                    refuse_mount(f"{shown}/{name}")
+                below = content.folders.get(name, FolderContent())
+                stage(inner, new, name, f"{shown}/{name}", below, carried, f"{inside}{name}/")
+        elif name not in content.files and name not in content.removed:
+            _link(old, new, f"{shown}/{name}", name)
+            carried[f"{inside}{name}"] = entry.inode()
+
+
+def _add_folders(parent: int, shown: str, content: FolderContent, staged: Collection[str] = ()) -> None:
+    """Create the new subfolders of a staged folder."""
+    for name, inner in content.folders.items():
+        if inner.size() and name not in staged:
+            add(parent, name, f"{shown}/{name}", inner)
+
+
+def add(parent: int, name: str, shown: str, content: FolderContent) -> None:
+    """Create a new folder.
+
+    Args:
+        parent: the open folder in which to create it.
+        name: its name.
+        shown: its path, for messages.
+        content: its files and folders.
+
+    Raises:
+        KeymintError: the system refuses. The caller must remove what was created so far.
+    """
+    with reported(shown):
+        os.mkdir(name, 0o700, dir_fd=parent)
+        with open_at(name, parent) as new:
+            for name_inside, file in content.files.items():
+                create(new, shown, name_inside, file)
+            _add_folders(new, shown, content)
+            os.fchmod(new, 0o700 if content.private else content.mode)
+
+
+def _link(old: int, new: int, shown: str, name: str) -> None:
+    with reported(shown):
+        try:
+            os.link(name, name, src_dir_fd=old, dst_dir_fd=new, follow_symlinks=False)
+        except OSError as error:
+            if error.errno == errno.EXDEV:
+                refuse_mount(shown)
+            if error.errno not in _NO_LINK:
+                raise
+            _copy(old, new, shown, name)
+
+
+def _copy(old: int, new: int, shown: str, name: str) -> None:
+    """Copy a file if no hard link can be made, e.g. on FAT."""
+    status = os.stat(name, dir_fd=old, follow_symlinks=False)
+    if stat.S_ISLNK(status.st_mode):
+        os.symlink(os.readlink(name, dir_fd=old), name, dir_fd=new)
+        return
+    if not stat.S_ISREG(status.st_mode):
+        message = "is not a regular file, and cannot be kept when its folder is replaced"
+        raise file_error(shown, "carry-refused", message, "remove it, or move it elsewhere")
+    with open_at(name, old, FILE) as source, open_at(name, new, NEW_FILE) as target:
+        while chunk := os.read(source, 1 << 20):
+            write_all(target, chunk)
+        give(target, (status.st_uid, status.st_gid))
+        made = os.fstat(target)
+        if (made.st_uid, made.st_gid) != (status.st_uid, status.st_gid):
+            owner = f"user {status.st_uid} and group {status.st_gid}"
+            message = f"belongs to {owner}, and cannot be kept in a new folder"
+            raise file_error(shown, "carry-refused", message, "run as that user or as root, or change its owner")
+        _copy_attributes(source, target)
+        os.fchmod(target, stat.S_IMODE(status.st_mode))
+        os.utime(target, ns=(status.st_atime_ns, status.st_mtime_ns))
+
+
+def _copy_attributes(old: int, new: int) -> None:
+    """Copy extended attributes, such as access-control lists, where the system permits that."""
+    with contextlib.suppress(OSError):
+        names = set(os.listxattr(old))
+        for name in set(os.listxattr(new)) - names:
+            with contextlib.suppress(OSError):
+                os.removexattr(new, name)
+        for name in names:
+            with contextlib.suppress(OSError):
+                os.setxattr(new, name, os.getxattr(old, name))
+
+
+def refuse_mount(shown: str) -> NoReturn:
+    """Raise the error for a folder that cannot be replaced because it is a mount point."""
+    help_ = "unmount it; mount the folder above the enclaves instead"
+    raise file_error(shown, "mount-refused", "is a mount point, which cannot be replaced", help_)

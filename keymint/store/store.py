@@ -5,7 +5,7 @@
 * Changes are staged under temporary names, and committed together: nothing is visible before all of it is written and
   synchronised. See :mod:`keymint.store.staged` and :mod:`keymint.store.group_commit`.
 * A new folder appears complete. A folder in which several files change is swapped in one step; see
-  :mod:`keymint.store.folder_staging` and :mod:`keymint.store.file_writing`.
+  :mod:`keymint.store.staged` and :mod:`keymint.store.file_writing`.
 * A secret is 0600 from its first byte and its folder 0700, whatever the umask.
 * What a killed run made visible in part, the next run finishes; the rest of it is removed. See
   :mod:`keymint.store.journal`.

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from keymint.view.folder_status import NEVER, Sight, folder_status, walk
+from keymint.view.recorded_answers import NEVER, Sight, folder_status, walk
 
 
 def edit_in_place(file: Path) -> None:
