@@ -207,33 +207,22 @@ class Tunable:
     values: tuple[Value, ...]
     where: Origin
 
-
-_Key = tuple[Spot, str]
-"""Place and name of a tunable."""
+    @property
+    def key(self) -> tuple[Spot, str]:
+        """Its place and its name."""
+        return self.where.spot, self.name
 
 
 @dataclass(slots=True)
 class ExpansionBudget:
-    """The characters that a policy's expanded expressions use, and its used and unused tunables.
+    """The characters that a policy's expanded expressions use, its tunables, and the keys of those that are used.
 
     A tunable of a file that is included several times is counted once.
     """
 
     used: int = 0
-    unused_tunables: dict[_Key, Tunable] = field(default_factory=dict)
-    used_tunables: set[_Key] = field(default_factory=set)
-
-    def declare(self, tunable: Tunable) -> None:
-        """Record the declaration of a tunable."""
-        key = tunable.where.spot, tunable.name
-        if key not in self.used_tunables:
-            self.unused_tunables.setdefault(key, tunable)
-
-    def use(self, tunable: Tunable) -> None:
-        """Record a use of a tunable."""
-        key = tunable.where.spot, tunable.name
-        self.used_tunables.add(key)
-        self.unused_tunables.pop(key, None)
+    tunables: dict[tuple[Spot, str], Tunable] = field(default_factory=dict)
+    used_tunables: set[tuple[Spot, str]] = field(default_factory=set)
 
 
 @dataclass(slots=True)
@@ -288,7 +277,7 @@ class TunableScope:
                 raise ComArmorError(f"the tunable has more than the {MOST_VALUES:,} values allowed", code="tunable")
         self.spend(expanded)
         self.own[name] = Tunable(name, tuple(expanded), where)
-        self.budget.declare(self.own[name])
+        self.budget.tunables.setdefault(self.own[name].key, self.own[name])
 
     def values(self, name: str, where: Origin) -> tuple[Value, ...]:
         """Return the values of a tunable for a use in a place.
@@ -300,7 +289,7 @@ class TunableScope:
         scope: TunableScope | None = self
         while scope is not None:
             if tunable := scope.own.get(name):
-                self.budget.use(tunable)
+                self.budget.used_tunables.add(tunable.key)
                 for inner in passed:
                     inner.passed.setdefault(name, (tunable, where))
                 return tunable.values

@@ -303,7 +303,8 @@ def parse(sources: PolicyFiles) -> Policy:
     profiles = tuple(profile for document in sources.roots for profile in parser.root(document))
     if parser.diagnostics:
         raise ComArmorError.of(parser.diagnostics)
-    unused = tuple(parser.budget.unused_tunables.values())
+    budget = parser.budget
+    unused = tuple(each for key, each in budget.tunables.items() if key not in budget.used_tunables)
     return Policy(profiles, sources.seen, unused, sources.shipped)
 
 

@@ -64,7 +64,7 @@ def _split(globs: Iterable[Glob]) -> tuple[set[str], list[Glob]]:
     return names, [glob for glob, text in texts.items() if text is None]
 
 
-@step_counting_cache(1 << 14)
+@step_counting_cache
 def _disjoint(left: Glob, right: Glob) -> bool:
     """Search the product automaton for a pair of final positions."""
     if is_empty(left) or is_empty(right):
@@ -151,27 +151,24 @@ def union_covers(outers: tuple[Glob, ...], inner: Glob) -> bool:
     return bool(_union_covers(outers, inner))
 
 
-@step_counting_cache(1 << 14)
+@step_counting_cache
 def _union_covers(outers: tuple[Glob, ...], inner: Glob) -> bool | None:
     if is_empty(inner):
         return True
     if (text := literal(inner)) is not None:
         return any(matcher(outer)(text) for outer in outers)
     near = tuple(outer for outer in outers if not disjoint(outer, inner))
-    return _is_included(inner, near) if near else False
-
-
-def _is_included(inner: Glob, outers: tuple[Glob, ...]) -> bool | None:
-    """Search for a word that only ``inner`` matches; None if this was not decided."""
-    # Few questions get here, and most runs have none.
+    if not near:
+        return False
+    # Search for a word that only the inner one matches. Few questions get here, and most runs have none.
     from comarmor.patterns.decision_lists import EVERY_WORD, BudgetError, SearchBudget  # noqa: PLC0415
     from comarmor.patterns.derivatives import CubeSearch, Derivatives  # noqa: PLC0415
 
-    tokens = dict.fromkeys(token for each in (*outers, inner) for token in units(each))
+    tokens = dict.fromkeys(token for each in (*near, inner) for token in units(each))
     ranges = sum(len(token.ranges) for token in tokens if isinstance(token, Charset))
     spend(len(tokens) * (len(tokens) + ranges) // 4)  # the letters that they distinguish are found without a count
-    derivatives = Derivatives((inner, *outers), EVERY_WORD)
-    search = CubeSearch(derivatives, (inner,), outers, SearchBudget(MAX_STATES).state_counter())
+    derivatives = Derivatives((inner, *near), EVERY_WORD)
+    search = CubeSearch(derivatives, (inner,), near, SearchBudget(MAX_STATES).state_counter())
     try:
         return search.shortest(None) is None
     except BudgetError:
@@ -193,7 +190,7 @@ def intersection(left: Glob, right: Glob, limit: int = 64) -> tuple[Glob, ...]:
     return pieces
 
 
-@step_counting_cache(1 << 12)
+@step_counting_cache
 def _intersection(left: Glob, right: Glob, limit: int) -> tuple[Glob, ...] | None:
     """Return the patterns of an intersection, or None if it is too complex (so that this is cached as well)."""
     with step_limit(MAX_INTERSECTION_STEPS) as counter:

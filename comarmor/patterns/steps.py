@@ -22,6 +22,8 @@ from comarmor.values import dataclass
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
+_KEPT = 1 << 14
+"""Results that a cache keeps."""
 
 
 class StepLimitError(Exception):
@@ -87,27 +89,20 @@ def step_limit(steps: int | None) -> Iterator[StepCounter]:
         outer.spent += counter.spent
 
 
-def step_counting_cache(maxsize: int) -> Callable[[Callable[_P, _T]], Callable[_P, _T]]:
-    """Return a decorator like :func:`functools.lru_cache` whose hits cost as many steps as the first call.
+def step_counting_cache(function: Callable[_P, _T]) -> Callable[_P, _T]:
+    """Return a function with a :func:`functools.lru_cache` whose hits cost as many steps as the first call."""
 
-    Args:
-        maxsize: number of results that are kept.
-    """
+    @lru_cache(_KEPT)
+    def compute(*args: _P.args, **kwargs: _P.kwargs) -> tuple[_T, int]:
+        with step_limit(None) as counter:
+            result = function(*args, **kwargs)
+        spend(-counter.spent)  # those of a result are counted below, at every call; those of an error were now
+        return result, 1 + counter.spent
 
-    def decorate(function: Callable[_P, _T]) -> Callable[_P, _T]:
-        @lru_cache(maxsize)
-        def compute(*args: _P.args, **kwargs: _P.kwargs) -> tuple[_T, int]:
-            with step_limit(None) as counter:
-                result = function(*args, **kwargs)
-            spend(-counter.spent)  # those of a result are counted below, at every call; those of an error were now
-            return result, 1 + counter.spent
+    @wraps(function)
+    def wrapper(*args: _P.args, **kwargs: _P.kwargs) -> _T:
+        result, cost = compute(*args, **kwargs)  # type: ignore[arg-type]
+        spend(cost)
+        return result
 
-        @wraps(function)
-        def wrapper(*args: _P.args, **kwargs: _P.kwargs) -> _T:
-            result, cost = compute(*args, **kwargs)  # type: ignore[arg-type]
-            spend(cost)
-            return result
-
-        return wrapper
-
-    return decorate
+    return wrapper

@@ -45,23 +45,6 @@ class ShippedFile:
 
 
 @dataclass(frozen=True, slots=True)
-class ShippingPackage:
-    """A package that ships profiles.
-
-    Attributes:
-        name: its name.
-        folder: the folder of its profiles.
-        files: paths of its ``*.xml`` files below that folder, sorted; None if they cannot be listed.
-        hidden_by: the prefix of the package of this name that is found first; empty if this one is.
-    """
-
-    name: str
-    folder: Path
-    files: tuple[str, ...] | None
-    hidden_by: str
-
-
-@dataclass(frozen=True, slots=True)
 class CopiedPackages:
     """Copies of files that packages ship.
 
@@ -156,14 +139,20 @@ class InstalledPackages:
                 break
         return tuple(paths)
 
-    def shipping(self) -> Iterator[ShippingPackage]:
-        """Yield the packages that ship profiles, by name; one that another prefix hides comes after that one."""
+    def shipping(self) -> Iterator[tuple[str, Path, tuple[str, ...] | None, str]]:
+        """Yield the packages that ship profiles, by name; one that another prefix hides comes after that one.
+
+        Yields:
+            The name, the folder of the profiles, and the paths of the ``*.xml`` files below that folder, sorted, or
+            None if they cannot be listed. Then the prefix of the package of this name that is found first, or an empty
+            text if this one is.
+        """
         by_prefix = {prefix: frozenset(_names(prefix)) for prefix in self.prefixes}
         for name in sorted(frozenset().union(*by_prefix.values())):
             having = [each for each in self.prefixes if _is_absolute(each) and _found_in(each, name)]
             for prefix in (each for each in having if name in by_prefix[each]):
                 folder = Path(prefix, "share", name, _KEYMINT, _PROFILES)
-                yield ShippingPackage(name, folder, _files(folder), "" if prefix == having[0] else having[0])
+                yield name, folder, _files(folder), "" if prefix == having[0] else having[0]
 
     def _prefix(self, package: str, where: Origin) -> str:
         for prefix in self.prefixes:

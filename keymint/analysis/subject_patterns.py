@@ -65,7 +65,7 @@ def rules_of(policy: LoadedPolicy, subject: str) -> tuple[Rule, ...]:
     return subject_rules.rules if subject_rules else ()
 
 
-@step_counting_cache(1 << 14)
+@step_counting_cache
 def profile_subjects(profiles: tuple[tuple[str, ...], ...], within: Glob = EVERY) -> tuple[Glob, ...]:
     """Return patterns that together match exactly the subjects to which nested profiles apply.
 

@@ -35,12 +35,12 @@ def plugins(run: Run) -> Report:
     installed = InstalledPackages(run.setting.environment)
     packages: list[dict[str, Any]] = [
         {
-            "name": each.name,
-            "folder": path_text(str(each.folder)),
-            "files": None if each.files is None else list(map(path_text, each.files)),
-            "hidden_by": each.hidden_by or None,
+            "name": name,
+            "folder": path_text(str(folder)),
+            "files": None if files is None else list(map(path_text, files)),
+            "hidden_by": hidden_by or None,
         }
-        for each in installed.shipping()
+        for name, folder, files, hidden_by in installed.shipping()
     ]
     if packages:
         run.console.line("")

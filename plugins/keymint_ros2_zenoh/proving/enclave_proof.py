@@ -122,7 +122,7 @@ def proven_exact(pattern: Glob, states: int) -> ProofResult:
 
 
 # Many enclaves have the same patterns. What is unknown is not cached: it may depend on an outer limit.
-@step_counting_cache(1 << 14)
+@step_counting_cache
 def _decided(pattern: Glob, states: int) -> ProofResult:
     automaton = Automaton()
     names = frozenset(automaton.names(0, rest) for rest in glob.left_quotient(pattern, "/"))

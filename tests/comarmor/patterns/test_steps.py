@@ -27,7 +27,7 @@ def test_steps_are_counted_and_end() -> None:
 
 
 def test_a_cached_result_costs_the_same() -> None:
-    @step_counting_cache(8)
+    @step_counting_cache
     def asked(number: int) -> int:
         spend(number)
         return number

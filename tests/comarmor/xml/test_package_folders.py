@@ -47,7 +47,7 @@ def test_the_first_prefix_wins_and_plugins_lists_both(tmp_path: Path, policy: Pa
     found = packages(tmp_path / "over", tmp_path / "under")
     assert names(policy, found) == ["/over"]
     assert names(policy, packages(tmp_path / "under", tmp_path / "over")) == ["/cmd_vel"]
-    assert [(each.name, each.folder, each.files, each.hidden_by) for each in found.shipping()] == [
+    assert list(found.shipping()) == [
         (PACKAGE, over, ("controller.xml",), ""),
         (PACKAGE, under, ("controller.xml",), str(tmp_path / "over")),
     ]
@@ -66,7 +66,7 @@ def test_odd_lists_of_prefixes(tmp_path: Path, policy: Path, text: str) -> None:
     ship(tmp_path / "prefix", FILES, registered=False)
     found = packages(text.format(tmp_path / "prefix"))
     assert names(policy, found) == ["/cmd_vel"]
-    assert [each.hidden_by for each in found.shipping()] == [""]
+    assert [hidden_by for *_, hidden_by in found.shipping()] == [""]
 
 
 @pytest.mark.parametrize("prefix", ["install", ".", "./install", "~/install"])
@@ -108,7 +108,7 @@ def test_what_the_system_refuses(tmp_path: Path, policy: Path, monkeypatch: pyte
     monkeypatch.setattr(os, function, refusing)
     found = packages(tmp_path / "prefix")
     if function == "scandir":
-        assert [each.files for each in found.shipping()] == [None]
+        assert [files for _, _, files, _ in found.shipping()] == [None]
         return
     with pytest.raises(ComArmorError) as caught:
         names(policy, found)
