@@ -20,6 +20,9 @@ from comarmor.xml.reader import LIMITS, XINCLUDE, line
 from comarmor.xml.reader import parse as parse_xml
 from comarmor.xml.sandboxed_paths import file_errors
 
+_ATTRIBUTES = ("subject", "permission", "object", "partition", "kind")
+"""Those of the elements in a policy test."""
+
 
 def load(
     path: str | Path,
@@ -135,22 +138,13 @@ def _read(file: Path) -> Iterator[Expectation]:
     for test in root.iterchildren("test"):
         for element in test.iterchildren("allow", "deny"):
             where = Origin(name, line(element))
-            subject, object_ = element.get("subject", ""), element.get("object", "")
-            partition = element.get("partition", "")
+            subject, permission, object_, partition, kind = (element.get(attribute, "") for attribute in _ATTRIBUTES)
             for expression in (subject, object_, partition):
                 try:
                     parse_expression(expression)
                 except ComArmorError as error:
                     defects += error.at(where).diagnostics
-            yield Expectation(
-                test=test.get("name", ""),
-                allowed=element.tag == "allow",
-                subject=subject,
-                permission=element.get("permission", ""),
-                object=object_,
-                partition=partition,
-                where=where,
-                kind=element.get("kind", ""),
-            )
+            is_allowed = element.tag == "allow"
+            yield Expectation(test.get("name", ""), is_allowed, subject, permission, object_, partition, where, kind)
     if defects:
         raise ComArmorError.of(defects)

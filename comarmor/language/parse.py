@@ -251,16 +251,10 @@ class _PolicyParser:
                 partitions = self.partitions(child, item)
             else:
                 attachments += self.attachments(_PlacedElement(child, item.document, item.chain), scope)
-        kind = str(item.element.tag)
-        return ProfileRule(
-            effect=Effect(item.element.get("qualifier", "")),
-            kind=kind,
-            permissions=tuple(permission for permission in PERMISSIONS[kind] if permission in granted),
-            attachments=_unique(attachments),
-            partitions=partitions,
-            audit=audit or item.element.get("modifier") == "AUDIT",
-            where=item.where,
-        )
+        kind, effect = str(item.element.tag), Effect(item.element.get("qualifier", ""))
+        permissions = tuple(permission for permission in PERMISSIONS[kind] if permission in granted)
+        audit = audit or item.element.get("modifier") == "AUDIT"
+        return ProfileRule(effect, kind, permissions, _unique(attachments), partitions, audit, item.where)
 
     def partitions(self, element: etree._Element, item: _PlacedElement) -> tuple[str, ...]:
         """Return the expressions of a ``<partitions>`` element; tunables and placeholders are not allowed."""

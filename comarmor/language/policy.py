@@ -12,6 +12,7 @@ import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import field
+from itertools import chain
 from pathlib import Path
 
 from comarmor.errors import ComArmorError, Reason
@@ -237,20 +238,20 @@ class Policy:
         if cached is not None:
             return cached
         namespace, name = parts(subject)
-        rules = tuple(
-            rule
-            for profile in self.applicable(subject)
-            for part in profile.parts
-            for rule in (
-                part.expanded(namespace, name)
-                if isinstance(part, Inclusion)
-                else (self._expanded(part, namespace, name),)
-            )
-        )
+        rules: list[Rule] = []
+        for part in chain.from_iterable(profile.parts for profile in self.applicable(subject)):
+            if isinstance(part, Inclusion):
+                rules += part.expanded(namespace, name)
+            elif any(attachment.value for attachment in part.attachments):  # it names the subject
+                rules.append(part.for_parts(namespace, name))
+            else:
+                if id(part) not in self._shared_rules:
+                    self._shared_rules[id(part)] = part.for_parts(namespace, name)
+                rules.append(self._shared_rules[id(part)])
         if len(self._cached_rules) >= _MOST_CACHED:
             self._cached_rules.clear()
-        self._cached_rules[subject] = rules
-        return rules
+        self._cached_rules[subject] = tuple(rules)
+        return self._cached_rules[subject]
 
     def rules_digest(self, subject: str) -> str | None:
         """Return a digest that differs if the rules of a subject or their files do; None if no profile applies to it.
@@ -271,13 +272,6 @@ class Policy:
                 for each in rules
             )
         return self._digests[id(owner)]
-
-    def _expanded(self, rule: ProfileRule, namespace: str, name: str) -> Rule:
-        if any(attachment.value for attachment in rule.attachments):  # it names the subject
-            return rule.for_parts(namespace, name)
-        if id(rule) not in self._shared_rules:
-            self._shared_rules[id(rule)] = rule.for_parts(namespace, name)
-        return self._shared_rules[id(rule)]
 
     def row(self, subject: str, kind: str, permission: str) -> Row:
         """Return what the rules of a subject say about a permission, for many requests; see :meth:`decide`."""
