@@ -12,7 +12,6 @@ from typing import Any
 
 from lxml import etree
 
-from comarmor.data import locate
 from comarmor.errors import ComArmorError, Origin
 from comarmor.language.attachments import strip
 from comarmor.language.policy import Policy
@@ -82,7 +81,7 @@ LAYOUT = DocumentLayout(
     trimmed=strip,
 )
 _DECLARATION = '<?xml version="1.0" encoding="UTF-8"?>\n'
-_SCHEMAS = dict.fromkeys(("profiles", "profile", *PERMISSIONS), "comarmor.xsd") | {"tests": "tests.xsd"}
+_SCHEMAS = dict.fromkeys(("profiles", "profile", *PERMISSIONS), "comarmor") | {"tests": "tests"}
 """The schema of a file by the name of its root element."""
 
 
@@ -103,7 +102,7 @@ def canonical_form(content: bytes, name: str) -> bytes | None:
     root = parse(content, name)
     if not _is_of_this_language(root):
         return None
-    schema.validate(root, locate("comarmor", "schemas") / _SCHEMAS[str(root.tag)], name)
+    schema.validate(root, "comarmor", _SCHEMAS[str(root.tag)], name)
     document = nodes(content, LAYOUT)
     text = _DECLARATION + laid_out(document, LAYOUT)
     first_line = content.partition(b"\n")[0].rstrip(b"\0")  # UTF-16 has a zero byte between the two

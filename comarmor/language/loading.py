@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-from comarmor.data import locate
 from comarmor.errors import ComArmorError, Defects, Diagnostic, Origin
 from comarmor.language.parse import parse
 from comarmor.language.policy import Policy
@@ -133,7 +132,7 @@ def _read(file: Path) -> Iterator[Expectation]:
     with file_errors("the file", Origin(name)), file.open("rb") as stream:
         content = stream.read(LIMITS.file_bytes + 1)
     root = parse_xml(content, name)
-    schema.validate(root, locate("comarmor", "schemas") / "tests.xsd", name)
+    schema.validate(root, "comarmor", "tests", name)
     defects: list[Diagnostic] = []
     for test in root.iterchildren("test"):
         for element in test.iterchildren("allow", "deny"):

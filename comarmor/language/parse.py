@@ -8,7 +8,6 @@ from dataclasses import field, replace
 
 from lxml import etree
 
-from comarmor.data import locate
 from comarmor.errors import ComArmorError, Diagnostic, Origin
 from comarmor.language.attachments import MOST_EXPANDED_CHARACTERS, ExpansionBudget, TunableScope, strip
 from comarmor.language.attachments import parse as parse_attachment
@@ -289,7 +288,7 @@ def parse(sources: PolicyFiles) -> Policy:
     parser = _PolicyParser()
     for document, chain in sources.documents():
         try:
-            schema.validate(document.root, locate("comarmor", "schemas") / "comarmor.xsd", document.name, chain)
+            schema.validate(document.root, "comarmor", "comarmor", document.name, chain)
         except ComArmorError as error:
             parser.collect(error, Origin(document.name))
     if parser.diagnostics:

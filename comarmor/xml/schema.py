@@ -11,6 +11,7 @@ from typing import Any
 
 from lxml import etree
 
+from comarmor.data import locate
 from comarmor.errors import ComArmorError, Diagnostic, Origin
 from comarmor.regex import lazy_regex
 from comarmor.text import did_you_mean, quote
@@ -98,18 +99,20 @@ def _documents(path: Path) -> Iterator[etree._Element]:
         yield from _documents(path.with_name(include.get("schemaLocation", "")))
 
 
-def validate(root: etree._Element, schema: Path, file: str, chain: tuple[Origin, ...] = ()) -> None:
+def validate(root: etree._Element, owner: str, name: str, file: str, chain: tuple[Origin, ...] = ()) -> None:
     """Validate a document against a schema.
 
     Args:
         root: root element, from :func:`comarmor.xml.reader.parse`.
-        schema: path of the XSD.
+        owner: package that owns the schema, e.g. ``keymint_ros``.
+        name: name of the XSD in ``schemas/<owner>/``, without its suffix.
         file: path of the document as the user would type it.
         chain: the places that include the document, innermost first.
 
     Raises:
         ComArmorError: the document is not valid; every defect with ``file:line``, what was expected, and a hint.
     """
+    schema = locate(owner, "schemas") / f"{name}.xsd"
     compiled = _compiled(schema)
     if compiled.validate(root):
         return

@@ -178,12 +178,11 @@ class _GraphReader:
     def _members(self, path: Path, value: Any, *, required: Sequence[str], also: Sequence[str]) -> Mapping[str, Any]:
         if not isinstance(value, dict):
             self._refuse(path, f"is {_shown(value)}, expected an object")
+        known = (*required, *also)
         for name in value:
-            if name not in required and name not in also:
-                known = (*required, *also)
-                self._refuse(
-                    (*path, name), "unknown member", did_you_mean(name, known, f"known are {', '.join(known)}")
-                )
+            if name not in known:
+                help_ = did_you_mean(name, known, f"known are {', '.join(known)}")
+                self._refuse((*path, name), "unknown member", help_)
         for name in required:
             if name not in value:
                 self._refuse(path, f"the member {name!r} is missing")

@@ -126,9 +126,8 @@ def entries_of(metadata: str) -> Iterator[PluginInfo]:
         if line.startswith("["):
             group = line.strip("[]")
         elif group in GROUPS and equals and not line.startswith("#"):
-            yield PluginInfo(
-                group, name.strip(), target.strip(), *headers, str(Path(metadata).parent), metadata=metadata
-            )
+            location = str(Path(metadata).parent)
+            yield PluginInfo(group, name.strip(), target.strip(), *headers, location, metadata)
 
 
 def _headers(metadata: str) -> tuple[str, str]:

@@ -17,7 +17,6 @@ from typing import Generic, TypeVar
 
 from lxml import etree
 
-from comarmor.data import locate
 from comarmor.errors import Diagnostic, Origin
 from comarmor.regex import lazy_regex
 from comarmor.text import did_you_mean, quote
@@ -82,7 +81,7 @@ def parse(content: bytes, name: str, owner: str, schema_name: str) -> etree._Ele
         KeymintError: the document is not well-formed or not valid.
     """
     root = reader.parse(content, name)
-    schema.validate(root, locate(owner, "schemas") / f"{schema_name}.xsd", name)
+    schema.validate(root, owner, schema_name, name)
     return root
 
 

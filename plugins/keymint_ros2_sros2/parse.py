@@ -18,7 +18,6 @@ from xml.parsers import expat  # nosec - the document was read with limits and w
 
 from lxml import etree
 
-from comarmor.data import locate
 from comarmor.errors import ComArmorError, Diagnostic, Origin
 from comarmor.language.policy_files import IncludeFormat, PolicyFile, href_of
 from comarmor.language.source import load_tree
@@ -49,7 +48,7 @@ def parse(path: Path) -> SourcePolicy:
     files = load_tree(path, form=INCLUDES)
     notes: dict[PolicyFile, Comments] = {}
     for document, chain in files.documents():
-        schema.validate(document.root, locate("keymint_ros2_sros2", "schemas") / "policy.xsd", document.name, chain)
+        schema.validate(document.root, "keymint_ros2_sros2", "policy", document.name, chain)
         notes[document] = comments_of(document.content, document.root)
     (file,) = files.roots
     return _Parser(files.seen).policy(Placed(file.root, file, notes))

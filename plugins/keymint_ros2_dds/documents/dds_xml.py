@@ -10,7 +10,6 @@ from functools import lru_cache
 
 from lxml import etree
 
-from comarmor.data import locate
 from comarmor.xml import schema
 from comarmor.xml.reader import parse
 from keymint.api import DomainRange
@@ -131,7 +130,7 @@ def require_valid(content: bytes, kind: str, name: str) -> None:
         KeymintError: the document cannot be read or is not valid; each defect with ``file:line``.
     """
     if _digest(content, kind) not in _valid:
-        schema.validate(parse(content, name), locate("keymint_ros2_dds", "schemas") / f"{kind}.xsd", name)
+        schema.validate(parse(content, name), "keymint_ros2_dds", kind, name)
         know_valid(content, kind)
 
 

@@ -23,7 +23,6 @@ from operator import attrgetter
 
 from lxml import etree
 
-from comarmor.data import locate
 from comarmor.errors import ComArmorError, Diagnostic
 from comarmor.patterns.glob import parse, regex
 from comarmor.patterns.tokens import SPECIAL, Dialect
@@ -226,7 +225,7 @@ def quirks_by_schema(
         own: the quirks of a valid document.
     """
     try:
-        schema.validate(root, locate("keymint_ros2_dds", "schemas") / f"{kind}.xsd", file)
+        schema.validate(root, "keymint_ros2_dds", kind, file)
     except ComArmorError as error:
         first = error.diagnostics[0]
         at = first.where.line if first.where and first.where.line else 1
