@@ -62,15 +62,13 @@ def render(name: x509.Name, where: Origin | None = None) -> str:
     shown = ",".join(f"{kind}={value}" for kind, value in escaped)
     tokens = sum(1 for token in re.split(r"[,/]", shown) if token)
     if has_empty_part(shown):
-        message = (
-            f"Cyclone DDS refuses the subject name {shown}: nothing stands between two of its separators ',' and '/'"
-        )
+        why = "nothing stands between two of its separators ',' and '/'"
+        message = f"Cyclone DDS refuses the subject name {shown}: {why}"
         help_ = "put a CN that ends with '/' first in the certificate: CN=/,OU=x1, which is OU=x1,CN=/ in the grant"
         raise KeymintError(message, where=where, help=help_, code="portability-subject-name")
     if tokens > MAX_TOKENS:
-        raise _not_portable(
-            f"has {tokens} parts between ',' and '/', the maximum is {MAX_TOKENS}: {shown[:60]}…", where
-        )
+        problem = f"has {tokens} parts between ',' and '/', the maximum is {MAX_TOKENS}: {shown[:60]}…"
+        raise _not_portable(problem, where)
     return shown
 
 

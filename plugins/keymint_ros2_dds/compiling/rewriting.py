@@ -33,6 +33,8 @@ MIN_SAVED_PART = 10
 _RULE, _CRITERIA, _TOPIC = 130, 90, 28
 """Approximate bytes of a rule, of its criteria for an action, and of an expression, without the texts in them."""
 _ACTIONS = (TopicAction.PUBLISH, TopicAction.SUBSCRIBE)
+_Gathered = dict[Partitions, dict[TopicAction, tuple[str, ...]]]
+"""Gathered topics by partitions and action."""
 
 
 def gathered_rules(rules: Sequence[GrantRule[str]], *, min_saved: int | None = None) -> tuple[GrantRule[str], ...]:
@@ -54,7 +56,7 @@ def gathered_rules(rules: Sequence[GrantRule[str]], *, min_saved: int | None = N
     endpoints, relays = rules[:relay], rules[relay:]
     movable = _named_once(endpoints)
     remaining: list[GrantRule[str]] = []
-    gathered_topics: dict[Partitions, dict[TopicAction, tuple[str, ...]]] = {}
+    gathered_topics: _Gathered = {}
     for rule in endpoints:
         topics = dict(rule.topics)
         for action in _ACTIONS if rule.effect is Effect.ALLOW else ():
@@ -73,9 +75,7 @@ def gathered_rules(rules: Sequence[GrantRule[str]], *, min_saved: int | None = N
     return result if gathered_topics and size - _size(result) >= min_saved else tuple(rules)
 
 
-def _joined(
-    remaining: Sequence[GrantRule[str]], topics: Mapping[Partitions, Mapping[TopicAction, tuple[str, ...]]]
-) -> tuple[GrantRule[str], ...]:
+def _joined(remaining: Sequence[GrantRule[str]], topics: _Gathered) -> tuple[GrantRule[str], ...]:
     """Return the remaining rules, then the guard and the gathered topics; an allow rule comes first."""
     denied = DEFAULT if set(topics) == {DEFAULT} else EVERY
     guarded = {action: (GUARD,) for action in _ACTIONS if any(action in each for each in topics.values())}

@@ -21,9 +21,6 @@ INDENTED = 32_000
 Both forms have line ends, so that a line number identifies a topic.
 """
 
-_INDENTATIONS = ("  ", "")
-"""What each level of a document is indented by: of a small one, and of a large one."""
-
 _XSI = "http://www.w3.org/2001/XMLSchema-instance"
 _SPEC = "http://www.omg.org/spec/DDS-Security/20170901"
 _valid: set[bytes] = set()
@@ -106,7 +103,7 @@ def indented_if_small(write: Callable[[str], str]) -> bytes:
     Args:
         write: returns the document as text, without declaration, for the text by which each level is indented.
     """
-    for indentation in _INDENTATIONS:
+    for indentation in ("  ", ""):
         content = _HEAD + write(indentation).encode() + b"\n"
         if len(content) <= INDENTED:
             break

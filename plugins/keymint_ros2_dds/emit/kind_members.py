@@ -162,19 +162,13 @@ class _Members:
 
     Attributes:
         first: the first member; None once it is among the exemplars.
-        structure: None if no member can be renamed; made for the second member, since many kinds have one only.
+        structure: None if no member can be renamed.
         exemplars: a member for each signature, with its DDS names.
     """
 
     first: _Made | None
     structure: Structure | None = None
     exemplars: dict[Signature, tuple[_Made, list[str]]] = field(default_factory=dict)
-
-    def settle(self, kind: Kind, distro: str) -> None:
-        """Make the structure, and an exemplar of the first member."""
-        if self.first is not None:
-            first, self.first, self.structure = self.first, None, Structure.of(kind, distro)
-            self.keep(first)
 
     def keep(self, made: _Made) -> None:
         """Keep a member that the engine did as an exemplar, unless its document cannot be a template.
@@ -209,7 +203,9 @@ def emit_by_kind(package: Package, options: BuildOptions) -> Emitted:
     key = kind, package.distro, domains
     members = _known.get(key)
     if members is not None:
-        members.settle(kind, package.distro)
+        if members.first is not None:  # its structure is made for the second member, since many kinds have one only
+            first, members.first, members.structure = members.first, None, Structure.of(kind, package.distro)
+            members.keep(first)
         emitted = _by_renaming(package, kind, arguments, members)
         if emitted is not None:
             return emitted

@@ -8,7 +8,7 @@ whether it revokes the certificate beside it, are rules about every enclave
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -25,7 +25,7 @@ from keymint_ros2_dds import enclave_layout as layout
 from keymint_ros2_dds.examine.adopted_enclave import dates_of, examine_enclave, exposure, is_exposed
 from keymint_ros2_dds.examine.enclave_rules import AUTHORITY_FILES
 from keymint_ros2_dds.keystores import foreign_documents
-from keymint_ros2_dds.keystores.keystore_contents import FORMS, Contents, EnclavePlace, contents, places
+from keymint_ros2_dds.keystores.keystore_contents import FORMS, contents, places
 
 _READ = frozenset(name for form in layout.LAYOUTS for name in layout.files(form))
 """Names of the files that participants read."""
@@ -41,270 +41,252 @@ def examine_keystore(keystore: KeystoreFiles) -> FoundKeystore:
     Raises:
         KeymintError: it has no enclave.
     """
-    content = contents(keystore)
-    form, found, kept = places(content)
-    trusted, diagnostics = _authorities(content, found)
-    issuer = next((each for each in trusted if layout.IDENTITY_ROLE in each.roles), None)
-    newest, of_lists = _newest_list(content, form, found, issuer) if issuer else ("", [])
-    diagnostics += of_lists
-    listed = {layout.CRL: newest} if newest and not form else {}
-    anchors = {
-        role: TrustAnchor(each.name, str(content.place(each.file)), each.certificate)
-        for each in trusted
-        for role in each.roles
-    }
-    enclaves: list[FoundEnclave] = []
-    for place in found:
-        enclave, own = examine_enclave(content, replace(place, files={**place.files, **listed}), anchors)
-        enclaves.append(enclave)
-        diagnostics += own
-    defaults, of_governance = _defaults(content, enclaves, trusted)
-    diagnostics += of_governance
-    diagnostics += _doubled(content, enclaves)
-    secrets = {content.read(path) for each in trusted for path in each.key_files}
-    diagnostics += _in_the_way(content, found, kept, secrets)
-    return FoundKeystore(
-        form=FORMS[form],
-        layout=form,
-        subject_format="sros2" if all(each.subject_name == f"CN={each.subject}" for each in enclaves) else "",
-        authorities=trusted,
-        enclaves=tuple(enclaves),
-        kept=tuple(path for path in kept if content.read(path) not in secrets),  # nor links to them
-        defaults=defaults,
-        diagnostics=tuple(diagnostics),
-        revocation_lists={issuer.name: content.read(newest)} if issuer and newest else {},
-    )
+    return _ForeignKeystore(keystore).found()
 
 
-def _defaults(
-    content: Contents, enclaves: Sequence[FoundEnclave], trusted: Sequence[FoundAuthority]
-) -> tuple[Mapping[str, bytes], list[Diagnostic]]:
-    """Return the governance as the source of all packages, and why it cannot become that."""
-    governed = [each for each in enclaves if layout.GOVERNANCE_XML in each.documents]
-    signer = next((each.name for each in trusted if layout.PERMISSIONS_ROLE in each.roles), "")
-    if not governed or not signer:
-        return {}, []
-    findings = []
-    first, document = governed[0], governed[0].documents[layout.GOVERNANCE_XML]
-    path = first.files[layout.GOVERNANCE_P7S]
-    for other in governed:
-        if not foreign_documents.is_same(document, other.documents[layout.GOVERNANCE_XML]):
-            message = f"protects other topics or domains than the governance of {first.subject}, {content.place(path)}"
-            help_ = "all participants of a domain need the same: adopt these enclaves as a keystore of their own"
-            own = other.files[layout.GOVERNANCE_P7S]
-            findings.append(Diagnostic.error("adopt-governance", message, content.place(own), help_, other.subject))
-    made = foreign_documents.governance_source(document, signer)
-    if made is None:
-        message = "has several domain rules, and a profile's defaults have one"
-        help_ = "sign a governance with one domain rule, which may have several domains"
-        findings.append(Diagnostic.error("adopt-governance", message, content.place(path), help_))
-        return {}, findings
-    return {layout.GOVERNANCE: made}, findings
+class _ForeignKeystore:
+    """One keystore under examination."""
 
+    def __init__(self, keystore: KeystoreFiles) -> None:
+        self._contents = contents(keystore)
+        self._form, self._places, self._kept = places(self._contents)
+        self._findings: list[Diagnostic] = []
 
-def _in_the_way(
-    content: Contents, enclaves: Sequence[EnclavePlace], kept: Sequence[str], secrets: Collection[bytes]
-) -> Iterator[Diagnostic]:
-    """Yield an error for each file that robots need and must not have, and for each that nobody can tell.
-
-    Args:
-        content: what the files of the keystore contain.
-        enclaves: where those of its enclaves are.
-        kept: the files that an install space has at the same place.
-        secrets: the files with an authority's private key.
-    """
-    own = {enclave.files[layout.KEY] for enclave in enclaves if layout.KEY in enclave.files}
-    needed = {path: each for each in enclaves for name, path in each.files.items() if name in _READ}
-    for path, enclave in needed.items():
-        if content.read(path) in secrets:
-            message = "has the private key of an authority, and participants read this file"
-            help_ = "give the enclave a key of its own, and leave the authority's to private/"
-            yield Diagnostic.error("adopt-key-shared", message, content.place(path), help_, enclave.subject)
-    sealed = set(map(content.read, content.sealed))
-    for path in kept:
-        if path in own or content.read(path) not in sealed:
-            continue
-        message = "has a private key that cannot be read, perhaps an authority's, where robots' files are taken from"
-        help_ = "move it out of that folder, e.g. to private/, if no robot needs it; else decrypt it (openssl pkey)"
-        yield Diagnostic.error("adopt-key-sealed", message, content.place(path), help_)
-
-
-def _doubled(content: Contents, enclaves: Sequence[FoundEnclave]) -> Iterator[Diagnostic]:
-    """Yield an error for a subject or a key that two enclaves have."""
-    seen: dict[str, FoundEnclave] = {}
-    for each in enclaves:
-        key = keys.fingerprint(keys.public_of(each.key)) if each.key else ""
-        for what, name in ((f"the subject {each.subject}", each.subject), ("one private key", key)):
-            other = seen.setdefault(name, each) if name else each
-            if other is not each:
-                message = f"has {what}, like {other.subject} ({other.facts['place']})"
-                help_ = "each enclave needs a name and a key of its own: remove one, or make a new key for it"
-                where = content.place(str(each.facts["place"]))
-                yield Diagnostic.error("adopt-doubled", message, where, help_, each.subject)
-
-
-# -- authorities ------------------------------------------------------------------------------------------------------
-
-
-def _authorities(
-    contents: Contents, enclaves: Iterable[EnclavePlace]
-) -> tuple[tuple[FoundAuthority, ...], list[Diagnostic]]:
-    """Return the authorities that the first enclaves trust, and the findings on them.
-
-    The other enclaves are compared with them (:meth:`keymint_ros2_dds.examine.enclave_rules.EnclaveRules.trust`).
-
-    Args:
-        contents: what the files of the keystore contain.
-        enclaves: where the files of its enclaves are.
-    """
-    findings: list[Diagnostic] = []
-    trusted: dict[str, str] = {}
-    for role, name in AUTHORITY_FILES.items():
-        for enclave in enclaves:
-            if path := enclave.files.get(name) or enclave.files.get(layout.CA):
-                trusted.setdefault(role, path)
-    by_content: dict[bytes, list[str]] = {}
-    for role, path in trusted.items():
-        by_content.setdefault(contents.read(path), []).append(role)
-    found = []
-    for roles in map(tuple, by_content.values()):
-        path = trusted[roles[0]]
-        authority, own = _authority(contents, path, roles)
-        found += [authority] if authority else []
-        findings += own
-    if len({each.facts["fingerprint"] for each in found}) < len(found):
-        message = "both authorities have one and the same key"
-        help_ = "make a certificate for one of them alone the file of both"
-        findings.append(Diagnostic.error("adopt-authority-key", message, contents.place(found[0].file), help_))
-    return tuple(found), findings
-
-
-def _authority(contents: Contents, path: str, roles: tuple[str, ...]) -> tuple[FoundAuthority | None, list[Diagnostic]]:
-    content, where = contents.read(path), contents.place(path)
-    findings: list[Diagnostic] = []
-    try:
-        certificate = foreign_authorities.require_authority(content, where)
-    except KeymintError as error:
-        return None, list(error.diagnostics)
-    if content != certificates.to_pem(certificate):
-        message = "has text around its certificate, or encodes it in another way; enclaves would get another file"
-        help_ = f"rewrite it, here and on the robots: openssl x509 -in {where} -out {where}"
-        findings.append(Diagnostic.error("adopt-encoding", message, where, help_))
-    if not certificates.is_issued_by(certificate, certificate):
-        message = f"was issued by {to_text(certificate.issuer)!r}, and not by itself"
-        help_ = "Keymint takes over self-signed authorities only; Cyclone DDS refuses others as well"
-        findings.append(Diagnostic.error("adopt-intermediate", message, where, help_))
-    name, end = BOTH if len(roles) > 1 else _NAMES[roles[0]], certificate.not_valid_after_utc
-    if end < contents.keystore.now:
-        message = f"expired on {end:%Y-%m-%d}: no participant starts"
-        help_ = f"'keymint authority renew {name}' afterwards"
-        findings.append(Diagnostic.warning("adopt-authority-expired", message, where, help_))
-    key_paths = contents.keys_of(certificate)
-    for each in key_paths:
-        findings += exposure(contents, each, "")
-    findings += _improvable(contents, certificate, roles, name, where)
-    public = certificates.public_key(certificate)
-    kind = keys.kind_of(public)
-    facts: dict[str, Any] = {
-        "subject_name": to_text(certificate.subject),
-        "fingerprint": keys.fingerprint(public),
-        "key_kind": f"RSA {kind.size}" if kind.algorithm == "rsa" else kind.curve,
-        **dates_of(certificate),
-        "key_usage": extensions.usages(certificate),
-        "subject_key_identifier": extensions.value(certificate, x509.SubjectKeyIdentifier) is not None,
-        "authority_key_identifier": extensions.value(certificate, x509.AuthorityKeyIdentifier) is not None,
-        "path_length": getattr(extensions.value(certificate, x509.BasicConstraints), "path_length", None),
-        "key_file": str(contents.place(key_paths[0])) if key_paths else None,
-    }
-    key = keys.pem_of(contents.read(key_paths[0]), public) if key_paths else b""
-    exposed = any(is_exposed(contents, each) for each in key_paths)
-    return FoundAuthority(name, roles, content, path, key, tuple(key_paths), facts, exposed), findings
-
-
-def _improvable(
-    contents: Contents, certificate: x509.Certificate, roles: Sequence[str], name: str, where: Origin
-) -> Iterator[Diagnostic]:
-    """Yield a note for a private key that is not here, and for what the certificate lacks, or has too much of.
-
-    Each is the matter of a later step.
-    """
-    if not contents.keys_of(certificate):
-        message = f"has no private key here: the authority {name!r} is taken over without it, and signs nothing here"
-        help_ = f"'keymint authority import {name} {where} --key FILE' brings it later"
-        if names := ", ".join(str(contents.place(each)) for each in contents.sealed):
-            which = f"if it is one of {names}, which are encrypted or containers"
-            help_ = f"{which}: decrypt it (openssl pkey), then {help_}"
-        yield Diagnostic.note("adopt-authority-elsewhere", message, where, help_)
-    if len(roles) > 1:
-        message = (
-            "issues identities and signs permissions: on old vendors, any identity can sign permissions for itself"
+    def found(self) -> FoundKeystore:
+        """Return what the keystore has."""
+        content, form = self._contents, self._form
+        trusted = self._authorities()
+        issuer = next((each for each in trusted if layout.IDENTITY_ROLE in each.roles), None)
+        newest = self._newest_list(issuer) if issuer else ""
+        listed = {layout.CRL: newest} if newest and not form else {}
+        anchors = {
+            role: TrustAnchor(each.name, str(content.place(each.file)), each.certificate)
+            for each in trusted
+            for role in each.roles
+        }
+        enclaves: list[FoundEnclave] = []
+        for place in self._places:
+            enclave, own = examine_enclave(content, replace(place, files={**place.files, **listed}), anchors)
+            enclaves.append(enclave)
+            self._findings += own
+        defaults = self._defaults(enclaves, trusted)
+        self._judge_doubles(enclaves)
+        secrets = {content.read(path) for each in trusted for path in each.key_files}
+        self._judge_keys(secrets)
+        return FoundKeystore(
+            form=FORMS[form],
+            layout=form,
+            subject_format="sros2" if all(each.subject_name == f"CN={each.subject}" for each in enclaves) else "",
+            authorities=trusted,
+            enclaves=tuple(enclaves),
+            kept=tuple(path for path in self._kept if content.read(path) not in secrets),  # nor links to them
+            defaults=defaults,
+            diagnostics=tuple(self._findings),
+            revocation_lists={issuer.name: content.read(newest)} if issuer and newest else {},
         )
-        help_ = "CVE-2023-24010; 'keymint harden authority' makes a second one afterwards"
-        yield Diagnostic.note("adopt-one-authority", message, where, help_)
-    lacks = ", and ".join(each.message for each in foreign_authorities.defects(certificate, name, where))
-    if lacks:
-        yield Diagnostic.note("adopt-extensions", lacks, where, "'keymint harden identifiers' adds it afterwards")
 
+    def _error(self, code: str, path: str, message: str, help_: str, subject: str = "") -> None:
+        self._findings.append(Diagnostic.error(code, message, self._contents.place(path), help_, subject))
 
-# -- revocation lists -----------------------------------------------------------------------------------------------
+    def _defaults(self, enclaves: Sequence[FoundEnclave], trusted: Sequence[FoundAuthority]) -> Mapping[str, bytes]:
+        """Return the governance as the source of all packages; report why it cannot become that."""
+        governed = [each for each in enclaves if layout.GOVERNANCE_XML in each.documents]
+        signer = next((each.name for each in trusted if layout.PERMISSIONS_ROLE in each.roles), "")
+        if not governed or not signer:
+            return {}
+        first, document = governed[0], governed[0].documents[layout.GOVERNANCE_XML]
+        path = first.files[layout.GOVERNANCE_P7S]
+        for other in governed:
+            if not foreign_documents.is_same(document, other.documents[layout.GOVERNANCE_XML]):
+                than = f"{first.subject}, {self._contents.place(path)}"
+                message = f"protects other topics or domains than the governance of {than}"
+                help_ = "all participants of a domain need the same: adopt these enclaves as a keystore of their own"
+                self._error("adopt-governance", other.files[layout.GOVERNANCE_P7S], message, help_, other.subject)
+        made = foreign_documents.governance_source(document, signer)
+        if made is None:
+            message = "has several domain rules, and a profile's defaults have one"
+            help_ = "sign a governance with one domain rule, which may have several domains"
+            self._error("adopt-governance", path, message, help_)
+        return {} if made is None else {layout.GOVERNANCE: made}
 
+    def _judge_keys(self, secrets: Collection[bytes]) -> None:
+        """Report each file that robots need and must not have, and each of which nobody can tell.
 
-def _newest_list(
-    contents: Contents, form: str, enclaves: Sequence[EnclavePlace], issuer: FoundAuthority
-) -> tuple[str, list[Diagnostic]]:
-    """Return the path of the revocation list in force, empty if there is none, and the findings on all lists.
+        Args:
+            secrets: the files with an authority's private key.
+        """
+        content = self._contents
+        own = {enclave.files[layout.KEY] for enclave in self._places if layout.KEY in enclave.files}
+        needed = {path: each for each in self._places for name, path in each.files.items() if name in _READ}
+        for path, enclave in needed.items():
+            if content.read(path) in secrets:
+                message = "has the private key of an authority, and participants read this file"
+                help_ = "give the enclave a key of its own, and leave the authority's to private/"
+                self._error("adopt-key-shared", path, message, help_, enclave.subject)
+        sealed = set(map(content.read, content.sealed))
+        for path in self._kept:
+            if path in own or content.read(path) not in sealed:
+                continue
+            message = (
+                "has a private key that cannot be read, perhaps an authority's, where robots' files are taken from"
+            )
+            help_ = "move it out of that folder, e.g. to private/, if no robot needs it; else decrypt it (openssl pkey)"
+            self._error("adopt-key-sealed", path, message, help_)
 
-    Args:
-        contents: what the files of the keystore contain.
-        form: the layout of the keystore, empty if it has none.
-        enclaves: where the files of its enclaves are.
-        issuer: the authority of identities.
-    """
-    used = {enclave.files[layout.CRL] for enclave in enclaves if layout.CRL in enclave.files}
-    authority = certificates.load(issuer.certificate)
-    lists: dict[str, RevocationList] = {}
-    findings: list[Diagnostic] = []
-    for path in sorted({*contents.revocation_lists, *used}):
-        content, place = contents.read(path), contents.place(path)
-        if revocation_lists.problem(content, authority):
-            if path not in used:  # else it is reported with the enclave
-                message = f"is no revocation list of the authority {issuer.name!r}"
-                help_ = "nothing, if it concerns no identity of this keystore; it is not taken over"
-                findings.append(Diagnostic.warning(_REVOCATIONS, message, contents.place(path), help_))
-            continue
+    def _judge_doubles(self, enclaves: Sequence[FoundEnclave]) -> None:
+        """Report a subject or a key that two enclaves have."""
+        seen: dict[str, FoundEnclave] = {}
+        for each in enclaves:
+            key = keys.fingerprint(keys.public_of(each.key)) if each.key else ""
+            for what, name in ((f"the subject {each.subject}", each.subject), ("one private key", key)):
+                other = seen.setdefault(name, each) if name else each
+                if other is not each:
+                    message = f"has {what}, like {other.subject} ({other.facts['place']})"
+                    help_ = "each enclave needs a name and a key of its own: remove one, or make a new key for it"
+                    self._error("adopt-doubled", str(each.facts["place"]), message, help_, each.subject)
+
+    # -- authorities -------------------------------------------------------------------------------------------------
+
+    def _authorities(self) -> tuple[FoundAuthority, ...]:
+        """Return the authorities that the first enclaves trust.
+
+        The other enclaves are compared with them (:meth:`keymint_ros2_dds.examine.enclave_rules.EnclaveRules.trust`).
+        """
+        trusted: dict[str, str] = {}
+        for role, name in AUTHORITY_FILES.items():
+            for enclave in self._places:
+                if path := enclave.files.get(name) or enclave.files.get(layout.CA):
+                    trusted.setdefault(role, path)
+        by_content: dict[bytes, list[str]] = {}
+        for role, path in trusted.items():
+            by_content.setdefault(self._contents.read(path), []).append(role)
+        judged = (self._authority(trusted[roles[0]], roles) for roles in map(tuple, by_content.values()))
+        found = tuple(filter(None, judged))
+        if len({each.facts["fingerprint"] for each in found}) < len(found):
+            message = "both authorities have one and the same key"
+            help_ = "make a certificate for one of them alone the file of both"
+            self._error("adopt-authority-key", found[0].file, message, help_)
+        return found
+
+    def _authority(self, path: str, roles: tuple[str, ...]) -> FoundAuthority | None:
+        contents = self._contents
+        content, where = contents.read(path), contents.place(path)
         try:
-            lists[path] = revocation_lists.load(content, place)
-        except KeymintError:
-            message = "has more than one revocation list, or text around it; enclaves would get another file"
-            help_ = f"rewrite it, here and on the robots: openssl crl -in {place} -out {place}"
-            findings.append(Diagnostic.error(_REVOCATIONS, message, contents.place(path), help_))
-    newest = max(lists, key=lambda each: (lists[each].number, lists[each].this_update), default="")
-    if newest:
+            certificate = foreign_authorities.require_authority(content, where)
+        except KeymintError as error:
+            self._findings += error.diagnostics
+            return None
+        if content != certificates.to_pem(certificate):
+            message = "has text around its certificate, or encodes it in another way; enclaves would get another file"
+            help_ = f"rewrite it, here and on the robots: openssl x509 -in {where} -out {where}"
+            self._error("adopt-encoding", path, message, help_)
+        if not certificates.is_issued_by(certificate, certificate):
+            message = f"was issued by {to_text(certificate.issuer)!r}, and not by itself"
+            help_ = "Keymint takes over self-signed authorities only; Cyclone DDS refuses others as well"
+            self._error("adopt-intermediate", path, message, help_)
+        name, end = BOTH if len(roles) > 1 else _NAMES[roles[0]], certificate.not_valid_after_utc
+        if end < contents.keystore.now:
+            message = f"expired on {end:%Y-%m-%d}: no participant starts"
+            help_ = f"'keymint authority renew {name}' afterwards"
+            self._findings.append(Diagnostic.warning("adopt-authority-expired", message, where, help_))
+        key_paths = contents.keys_of(certificate)
+        for each in key_paths:
+            self._findings += exposure(contents, each, "")
+        self._findings += self._improvable(certificate, roles, name, where)
+        public = certificates.public_key(certificate)
+        kind = keys.kind_of(public)
+        facts: dict[str, Any] = {
+            "subject_name": to_text(certificate.subject),
+            "fingerprint": keys.fingerprint(public),
+            "key_kind": f"RSA {kind.size}" if kind.algorithm == "rsa" else kind.curve,
+            **dates_of(certificate),
+            "key_usage": extensions.usages(certificate),
+            "subject_key_identifier": extensions.value(certificate, x509.SubjectKeyIdentifier) is not None,
+            "authority_key_identifier": extensions.value(certificate, x509.AuthorityKeyIdentifier) is not None,
+            "path_length": getattr(extensions.value(certificate, x509.BasicConstraints), "path_length", None),
+            "key_file": str(contents.place(key_paths[0])) if key_paths else None,
+        }
+        key = keys.pem_of(contents.read(key_paths[0]), public) if key_paths else b""
+        exposed = any(is_exposed(contents, each) for each in key_paths)
+        return FoundAuthority(name, roles, content, path, key, tuple(key_paths), facts, exposed)
+
+    def _improvable(
+        self, certificate: x509.Certificate, roles: Sequence[str], name: str, where: Origin
+    ) -> Iterator[Diagnostic]:
+        """Yield a note for a private key that is not here, and for what the certificate lacks, or has too much of.
+
+        Each is the matter of a later step.
+        """
+        if not self._contents.keys_of(certificate):
+            message = (
+                f"has no private key here: the authority {name!r} is taken over without it, and signs nothing here"
+            )
+            help_ = f"'keymint authority import {name} {where} --key FILE' brings it later"
+            if names := ", ".join(str(self._contents.place(each)) for each in self._contents.sealed):
+                which = f"if it is one of {names}, which are encrypted or containers"
+                help_ = f"{which}: decrypt it (openssl pkey), then {help_}"
+            yield Diagnostic.note("adopt-authority-elsewhere", message, where, help_)
+        if len(roles) > 1:
+            message = (
+                "issues identities and signs permissions: on old vendors, any identity can sign permissions for itself"
+            )
+            help_ = "CVE-2023-24010; 'keymint harden authority' makes a second one afterwards"
+            yield Diagnostic.note("adopt-one-authority", message, where, help_)
+        lacks = ", and ".join(each.message for each in foreign_authorities.defects(certificate, name, where))
+        if lacks:
+            yield Diagnostic.note("adopt-extensions", lacks, where, "'keymint harden identifiers' adds it afterwards")
+
+    # -- revocation lists --------------------------------------------------------------------------------------------
+
+    def _newest_list(self, issuer: FoundAuthority) -> str:
+        """Return the path of the revocation list in force, empty if there is none.
+
+        Args:
+            issuer: the authority of identities.
+        """
+        contents, authority = self._contents, certificates.load(issuer.certificate)
+        used = {enclave.files[layout.CRL] for enclave in self._places if layout.CRL in enclave.files}
+        lists: dict[str, RevocationList] = {}
+        for path in sorted({*contents.revocation_lists, *used}):
+            content, place = contents.read(path), contents.place(path)
+            if revocation_lists.problem(content, authority):
+                if path not in used:  # else it is reported with the enclave
+                    message = f"is no revocation list of the authority {issuer.name!r}"
+                    help_ = "nothing, if it concerns no identity of this keystore; it is not taken over"
+                    self._findings.append(Diagnostic.warning(_REVOCATIONS, message, place, help_))
+                continue
+            try:
+                lists[path] = revocation_lists.load(content, place)
+            except KeymintError:
+                message = "has more than one revocation list, or text around it; enclaves would get another file"
+                help_ = f"rewrite it, here and on the robots: openssl crl -in {place} -out {place}"
+                self._error(_REVOCATIONS, path, message, help_)
+        newest = max(lists, key=lambda each: (lists[each].number, lists[each].this_update), default="")
+        if newest:
+            self._judge_lists(newest, lists)
+        return newest
+
+    def _judge_lists(self, newest: str, lists: Mapping[str, RevocationList]) -> None:
+        """Report what the newest list lacks, and each enclave that has another one, or none.
+
+        The next installation would change that enclave.
+        """
+        contents, place = self._contents, self._contents.place(newest)
         known = {each.serial for each in lists[newest].revocations}
         for path, other in lists.items():
             if lost := [each.serial for each in other.revocations if each.serial not in known]:
                 message = f"does not revoke all that {contents.place(path)} revokes, e.g. the serial number {lost[0]:x}"
-                help_ = (
-                    "issue a list with all of it; or remove the older one, if these certificates may be accepted again"
-                )
-                findings.append(Diagnostic.error(_REVOCATIONS, message, contents.place(newest), help_))
+                accepted = "if these certificates may be accepted again"
+                help_ = f"issue a list with all of it; or remove the older one, {accepted}"
+                self._error(_REVOCATIONS, newest, message, help_)
         count = quantity(len(lists[newest].revocations), "certificate")
-        if form == "sros2":
-            findings += _elsewhere(contents, newest, enclaves, count)
-        message = f"revokes {count}, which stay revoked"
-        findings.append(Diagnostic.note(_REVOCATIONS, message, contents.place(newest), "nothing"))
-    return newest, findings
-
-
-def _elsewhere(contents: Contents, newest: str, enclaves: Sequence[EnclavePlace], count: str) -> Iterator[Diagnostic]:
-    """Yield an error for each enclave that has another list, or none: the next installation would change it."""
-    for enclave in enclaves:
-        path = enclave.files.get(layout.CRL)
-        if path is None or contents.read(path) != contents.read(newest):
-            message = (
-                f"{'is missing' if path is None else 'is another list'}, and {contents.place(newest)}, the newest one, "
-                f"revokes {count}"
-            )
-            help_ = "copy the newest one there, here and on the robot; or leave all lists out, if nothing is revoked"
-            own = path or f"{enclave.place}/{layout.CRL}"
-            yield Diagnostic.error(_REVOCATIONS, message, contents.place(own), help_, enclave.subject)
+        for enclave in self._places if self._form == "sros2" else ():
+            own = enclave.files.get(layout.CRL)
+            if own is None or contents.read(own) != contents.read(newest):
+                problem = "is missing" if own is None else "is another list"
+                message = f"{problem}, and {place}, the newest one, revokes {count}"
+                help_ = (
+                    "copy the newest one there, here and on the robot; or leave all lists out, if nothing is revoked"
+                )
+                self._error(_REVOCATIONS, own or f"{enclave.place}/{layout.CRL}", message, help_, enclave.subject)
+        self._findings.append(Diagnostic.note(_REVOCATIONS, f"revokes {count}, which stay revoked", place, "nothing"))

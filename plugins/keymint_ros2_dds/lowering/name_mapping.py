@@ -126,13 +126,9 @@ def _divided(rest: Glob) -> Iterator[Pair]:
     for at, token in enumerate(tokens):
         left, right = tokens[:at], tokens[at + 1 :]
         if isinstance(token, Star):
-            yield _namespace((*left, STAR)), glob.normalise((STAR, *right))
+            yield glob.normalise(("/", *left, STAR)), glob.normalise((STAR, *right))
         elif "/" in token:  # a set that holds it, or the character itself
-            yield _namespace(left), glob.normalise(right)
-
-
-def _namespace(tokens: Iterable[Token]) -> Glob:
-    return glob.normalise(("/", *tokens))
+            yield glob.normalise(("/", *left)), glob.normalise(right)
 
 
 def _alternatives(pattern: Glob) -> Iterator[Glob]:

@@ -281,9 +281,8 @@ def remember(
     """
     digest = b"" if governance is None or governance.transparent(task.domains) else governance.key
     names = shipped_models(task.distro) if models is None else models
-    key = _key(task, rules or kind_of(task.rules.rules), names, digest)
     if len(_proven) < MOST:
-        _proven[key] = claims
+        _proven[_key(task, rules or kind_of(task.rules.rules), names, digest)] = claims
 
 
 def _key(task: ComparisonTask, rules: tuple[Kind, Arguments], models: tuple[str, ...], governance: bytes) -> _Key:
