@@ -19,12 +19,12 @@ from collections.abc import Iterable, Sequence
 from datetime import datetime
 from ipaddress import ip_address
 from itertools import product
+from typing import NamedTuple
 
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from comarmor.values import dataclass
 from keymint.api import Verdict
 from keymint.errors import KeymintError
 from keymint.pki import certificates, examine, extensions
@@ -32,9 +32,8 @@ from keymint_ros2_zenoh.documents.configuration import AccessControl, AclRule, A
 from keymint_ros2_zenoh.keyexpr import KeyExpr, includes, parse
 
 
-@dataclass(frozen=True, slots=True)
-class Link:
-    """The properties of a link's other end; an empty property is one that the link does not have.
+class Link(NamedTuple):
+    """The properties of a link's other end, in the order of a subject's; an empty one is one that the link does not have.
 
     Attributes:
         common_name: first common name of its certificate.
@@ -93,11 +92,10 @@ class AccessModel:
 
     def on(self, link: Link) -> LinkAccess:
         """Return the decisions on a link."""
-        values = (link.common_name, link.username, link.interface, link.protocol, link.zid)
         matching = (
             entry
             for entry in self._candidates(link.common_name)
-            if all(given is None or given == value for given, value in zip(entry, values, strict=True))
+            if all(given is None or given == value for given, value in zip(entry, link, strict=True))
         )
         return LinkAccess(self._control, [self._entries[each] for each in matching])
 

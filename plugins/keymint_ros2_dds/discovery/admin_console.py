@@ -42,64 +42,57 @@ def read(content: bytes, name: str, names: Mapping[str, str]) -> DiscoveredGraph
     Raises:
         KeymintError: not well-formed, too large, with a DOCTYPE, or no such capture; with ``file:line``.
     """
-    root = parse(content, name)
-    reader = _AdminConsoleReader(name)
+    root, export = parse(content, name), "export the system from RTI Admin Console"
     if root.tag != "system":
-        raise reader.error(
-            root, f"the root is <{root.tag}>, expected <system>", "export the system from RTI Admin Console"
-        )
-    return discovered_graph(*reader.capture(root), names)
+        raise _error(name, root, f"the root is <{root.tag}>, expected <system>", export)
+    participants = {each.guid: each for each in (_participant(name, data) for data in root.iter("participant_data"))}
+    endpoints: dict[DiscoveredEndpoint, None] = {}
+    for data in (data for tag in _ENDPOINTS for data in root.iter(tag)):
+        endpoint = _endpoint(name, data)
+        if endpoint.participant not in participants:
+            message = f"the participant {endpoint.participant} of this endpoint is not in the file"
+            raise _error(name, data, message)
+        endpoints[endpoint] = None
+    if not participants:
+        raise _error(name, root, "no participant in this file", export)
+    return discovered_graph(participants.values(), endpoints, names)
 
 
-class _AdminConsoleReader:
-    def __init__(self, name: str) -> None:
-        self._name = name
+def _error(file: str, element: etree._Element, message: str, hint: str = "") -> KeymintError:
+    return KeymintError(message, where=Origin(file, line(element)), help=hint, code="capture")
 
-    def error(self, element: etree._Element, message: str, hint: str = "") -> KeymintError:
-        return KeymintError(message, where=Origin(self._name, line(element)), help=hint, code="capture")
 
-    def capture(self, root: etree._Element) -> tuple[list[DiscoveredParticipant], list[DiscoveredEndpoint]]:
-        """Return the participants and their endpoints."""
-        participants = {each.guid: each for each in map(self._participant, root.iter("participant_data"))}
-        endpoints: dict[DiscoveredEndpoint, None] = {}
-        for data in (data for tag in _ENDPOINTS for data in root.iter(tag)):
-            endpoint = self._endpoint(data)
-            if endpoint.participant not in participants:
-                raise self.error(data, f"the participant {endpoint.participant} of this endpoint is not in the file")
-            endpoints[endpoint] = None
-        if not participants:
-            raise self.error(root, "no participant in this file", "export the system from RTI Admin Console")
-        return [*participants.values()], [*endpoints]
+def _participant(file: str, data: etree._Element) -> DiscoveredParticipant:
+    above = data.getparent()
+    found = data.findtext("domain_id") or (above.findtext("domain_id") if above is not None else None) or "0"
+    domain = found.strip()
+    if not _NUMBER.fullmatch(domain) or int(domain) > MAX_DOMAIN:
+        raise _error(file, data, f"domain_id is {quote(domain)}, expected a DDS domain id from 0 to {MAX_DOMAIN}")
+    guid, name, text = _guid(file, data, "key"), _text(data, "participant_name/name"), _text(data, "user_data/value")
+    # User data is written as hexadecimal octets or as text.
+    user_data = bytes(int(octet, 16) for octet in text.split(",")) if _HEX.match(text) else text.encode()
+    return DiscoveredParticipant(guid, int(domain), name, user_data)
 
-    def _participant(self, data: etree._Element) -> DiscoveredParticipant:
-        above = data.getparent()
-        found = data.findtext("domain_id") or (above.findtext("domain_id") if above is not None else None) or "0"
-        domain = found.strip()
-        if not _NUMBER.fullmatch(domain) or int(domain) > MAX_DOMAIN:
-            raise self.error(data, f"domain_id is {quote(domain)}, expected a DDS domain id from 0 to {MAX_DOMAIN}")
-        guid, name, text = self._guid(data, "key"), _text(data, "participant_name/name"), _text(data, "user_data/value")
-        # User data is written as hexadecimal octets or as text.
-        user_data = bytes(int(octet, 16) for octet in text.split(",")) if _HEX.match(text) else text.encode()
-        return DiscoveredParticipant(guid, int(domain), name, user_data)
 
-    def _endpoint(self, data: etree._Element) -> DiscoveredEndpoint:
-        topic = _text(data, "topic_name")
-        if not topic:
-            raise self.error(data, f"<{data.tag}> has no <topic_name>")
-        partitions = tuple((each.text or "").strip() for each in data.iterfind("partition/name/element"))
-        participant, permission = self._guid(data, "participant_key"), _ENDPOINTS[str(data.tag)]
-        return DiscoveredEndpoint(participant, permission, topic, _text(data, "type_name"), partitions)
+def _endpoint(file: str, data: etree._Element) -> DiscoveredEndpoint:
+    topic = _text(data, "topic_name")
+    if not topic:
+        raise _error(file, data, f"<{data.tag}> has no <topic_name>")
+    partitions = tuple((each.text or "").strip() for each in data.iterfind("partition/name/element"))
+    participant, permission = _guid(file, data, "participant_key"), _ENDPOINTS[str(data.tag)]
+    return DiscoveredEndpoint(participant, permission, topic, _text(data, "type_name"), partitions)
 
-    def _guid(self, data: etree._Element, key: str) -> str:
-        """Return a key as 32 digits; it is written as four hexadecimal numbers of 32 bits."""
-        words = (data.findtext(f"{key}/value") or "").split(",")
-        try:
-            numbers = [int(word, 16) for word in words]
-        except ValueError:
-            numbers = []
-        if len(numbers) != 4 or any(not 0 <= number < 2**32 for number in numbers):  # noqa: PLR2004 - see above
-            raise self.error(data, f"<{key}> is {','.join(words)!r}, expected four hexadecimal numbers")
-        return "".join(f"{number:08x}" for number in numbers)
+
+def _guid(file: str, data: etree._Element, key: str) -> str:
+    """Return a key as 32 digits; it is written as four hexadecimal numbers of 32 bits."""
+    words = (data.findtext(f"{key}/value") or "").split(",")
+    try:
+        numbers = [int(word, 16) for word in words]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 4 or any(not 0 <= number < 2**32 for number in numbers):  # noqa: PLR2004 - see above
+        raise _error(file, data, f"<{key}> is {','.join(words)!r}, expected four hexadecimal numbers")
+    return "".join(f"{number:08x}" for number in numbers)
 
 
 def _text(data: etree._Element, path: str) -> str:

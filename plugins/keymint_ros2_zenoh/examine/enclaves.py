@@ -112,23 +112,18 @@ def check_shared(inspection: Inspection) -> tuple[Diagnostic, ...]:
 
     def of_router(found: Configuration) -> Iterator[Diagnostic]:
         yield from configurations.holders(found, names)
-        yield from _installed_names(inspection, names)
+        for subject, name in names.items():  # certificates that the router knows by another name, or not at all
+            try:
+                shown = first_common_name(inspection.enclaves[subject][CERTIFICATE])
+            except (KeyError, KeymintError):  # reported elsewhere
+                continue
+            if shown != name:
+                message = f"the certificate of {subject} has the common name {quote(shown)}, not {quote(name)}"
+                place = Origin(f"{inspection.folder}/enclaves{subject}/{CERTIFICATE}")
+                help_ = f"'keymint install {name_of(subject)}' writes it again"
+                yield Diagnostic.error("zenoh-common-name", message, place, help_, subject)
 
     return tuple(configurations.check_findings(content, inspection.documents[ROUTER], file, _INSTALL, of_router))
-
-
-def _installed_names(inspection: Inspection, names: Mapping[str, str]) -> Iterator[Diagnostic]:
-    """Yield certificates that the router knows by another name, or not at all."""
-    for subject, name in names.items():
-        try:
-            shown = first_common_name(inspection.enclaves[subject][CERTIFICATE])
-        except (KeyError, KeymintError):  # reported elsewhere
-            continue
-        if shown != name:
-            message = f"the certificate of {subject} has the common name {quote(shown)}, not {quote(name)}"
-            place = Origin(f"{inspection.folder}/enclaves{subject}/{CERTIFICATE}")
-            help_ = f"'keymint install {name_of(subject)}' writes it again"
-            yield Diagnostic.error("zenoh-common-name", message, place, help_, subject)
 
 
 class _EnclaveCheck(IdentityCheck):

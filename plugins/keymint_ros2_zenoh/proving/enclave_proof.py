@@ -56,19 +56,15 @@ class PolicySide:
         What is permitted beside data and for the graph is part of the first entry: no key belongs to two of these, so
         that a denial of one concerns no other.
         """
-        data, beside = (
-            [*self._of(permissions.Slot(message, flow, place))]
-            for place in (permissions.Place.DATA, permissions.Place.ADVANCED)
-        )
-        (allowed, denied), *others = data or [((), ())]
-        for more_allowed, more_denied in beside:
+        entries: dict[permissions.Place, KeyLists] = {}
+        for place in permissions.Place:
+            needing = sorted(permissions.USERS[permissions.Slot(message, flow, place)])
+            patterns = ([self.names.patterns(effect, permission) for effect in Effect] for permission in needing)
+            entries[place] = tuple((self._keys(place, allow), self._keys(place, deny)) for allow, deny in patterns)
+        (allowed, denied), *others = entries[permissions.Place.DATA] or [((), ())]
+        for more_allowed, more_denied in entries[permissions.Place.ADVANCED]:
             allowed, denied = (*allowed, *more_allowed), (*denied, *more_denied)
         return ((*allowed, *self._graph(message, flow)), denied), *others
-
-    def _of(self, slot: permissions.Slot) -> Iterator[tuple[tuple[KeyExpr, ...], tuple[KeyExpr, ...]]]:
-        for permission in sorted(permissions.USERS[slot]):
-            allowed, denied = (self.names.patterns(effect, permission) for effect in (Effect.ALLOW, Effect.DENY))
-            yield self._keys(slot.place, allowed), self._keys(slot.place, denied)
 
     def expressible(self, message: Message, flow: Flow) -> KeyLists:
         """Return what one list of denials can express: where permissions share a message, more than :meth:`permitted`.
@@ -290,10 +286,7 @@ _ABOUT_CONFIGURATIONS: Mapping[str, tuple[str, str]] = {
         "the sessions of the enclave that its configuration describes",
         "a session must exchange messages with the router alone",
     ),
-    ROUTE: (
-        "all links of the router",
-        "the router must decide on every message, by the certificate of its sender",
-    ),
+    ROUTE: ("all links of the router", "the router must decide on every message, by the certificate of its sender"),
     IDENTIFY: (
         "all certificates of the workspace's authority",
         "each enclave must have one subject entry with its common name, and nobody else one",
