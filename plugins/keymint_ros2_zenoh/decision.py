@@ -33,7 +33,7 @@ from keymint_ros2_zenoh.keyexpr import KeyExpr, includes, parse
 
 
 class Link(NamedTuple):
-    """The properties of a link's other end, in the order of a subject's; an empty one is one that the link does not have.
+    """The properties of a link's other end, in the order of a subject's; an empty one is one that the link has not.
 
     Attributes:
         common_name: first common name of its certificate.

@@ -214,11 +214,9 @@ class _Rights:
             return self.claim(message, flow, Proof.UNKNOWN, result.reason, spent=True)
         if isinstance(result, Equal):
             return None
-        key = result.word
         reason = "the configuration of the enclave's own sessions does not permit it"
         verdict = Verdict(allowed=False, reason=reason, where=session.where)
-        example = self._example(message, flow, key, self._decision(message, flow, key), verdict)
-        return self.claim(message, flow, Proof.COUNTEREXAMPLE, "", example)
+        return self._counterexample(message, flow, result.word, verdict)
 
     def _decision(self, message: Message, flow: Flow, key: str) -> PolicyDecision:
         return policy_evaluator.decide(self._task.rules, self._policy.domains, key, message, flow)
@@ -257,22 +255,22 @@ class _Rights:
 
     def _refuted(self, message: Message, flow: Flow, witness: Witness) -> Claim:
         key = witness.word
-        policy, decided = self._decision(message, flow, key), self._router.decide(message, flow, key)
-        if policy.allowed is not witness.left or decided.allowed is witness.left:
+        decided = self._router.decide(message, flow, key)
+        if self._decision(message, flow, key).allowed is not witness.left or decided.allowed is witness.left:
             return self.claim(
                 message, flow, Proof.UNKNOWN,
                 f"the engine and the plain evaluators disagree on {key!r}: a defect of Keymint",
             )  # fmt: skip
         verdict = Verdict(decided.allowed, decided.reason, decided.where or self._router.where)
-        return self.claim(message, flow, Proof.COUNTEREXAMPLE, "", self._example(message, flow, key, policy, verdict))
+        return self._counterexample(message, flow, key, verdict)
 
-    def _example(
-        self, message: Message, flow: Flow, key: str, policy: PolicyDecision, verdict: Verdict
-    ) -> Counterexample:
+    def _counterexample(self, message: Message, flow: Flow, key: str, verdict: Verdict) -> Claim:
+        """Return the claim that a message on a key refutes, with the policy's decision and another one."""
         subject, meaning = self._task.rules.subject, policy_evaluator.meaning_of(key)
         endpoint = Endpoint(subject, action(message, flow), key, domain=meaning[0] if meaning else 0)
         edge = next(policy_evaluator.edges(subject, key, message, flow), None)
-        return Counterexample(endpoint, edge, policy, verdict)
+        example = Counterexample(endpoint, edge, self._decision(message, flow, key), verdict)
+        return self.claim(message, flow, Proof.COUNTEREXAMPLE, "", example)
 
 
 def _include(outer: Iterable[KeyExpr], inner: Iterable[KeyExpr]) -> bool:
