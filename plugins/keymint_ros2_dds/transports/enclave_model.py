@@ -254,7 +254,7 @@ class EnclaveModels:
         enclaves: the enclaves.
         environment: the clock, and what was read before in this run.
         variation: the model of the vendor that is asked.
-        keep_all: keep the models of all subjects; otherwise of one, because edges come grouped by subject.
+        tier: at *exchange* the models of all subjects are kept; otherwise of one, as edges come grouped by subject.
 
     Attributes:
         enclaves: the enclaves by subject.
@@ -262,17 +262,12 @@ class EnclaveModels:
     """
 
     def __init__(
-        self,
-        enclaves: Iterable[InstalledEnclave],
-        environment: Environment,
-        variation: Variation,
-        *,
-        keep_all: bool = False,
+        self, enclaves: Iterable[InstalledEnclave], environment: Environment, variation: Variation, tier: Tier
     ) -> None:
         self.variation = variation
         self.enclaves = EnclavesBySubject((enclave.subject, enclave) for enclave in enclaves)
         self._environment = environment
-        self._keep_all = keep_all
+        self._keep_all = tier is Tier.EXCHANGE
         self._models: dict[tuple[str, int], EnclaveModel] = {}
 
     def of(self, subject: str, domain: int) -> EnclaveModel:
@@ -313,16 +308,14 @@ class Simulated(Transport):
         self, enclaves: Sequence[InstalledEnclave], edges: Iterable[Edge], tier: Tier
     ) -> Iterator[tuple[Edge, Verdict]]:
         """See :meth:`keymint.api.Transport.label`."""
-        del tier
-        models = EnclaveModels(enclaves, self._environment, self._variation)
+        models = EnclaveModels(enclaves, self._environment, self._variation, tier)
         for edge in edges:
             needed = endpoints(models.enclaves[edge.subject].distro, edge)
             yield edge, models.of(edge.subject, edge.domain).verdict(self._variation, needed)
 
     def admitted(self, enclave: InstalledEnclave, endpoints: Column, tier: Tier) -> bytes:
         """See :meth:`keymint.api.Transport.admitted`."""
-        del tier
-        models = EnclaveModels([enclave], self._environment, self._variation)
+        models = EnclaveModels([enclave], self._environment, self._variation, tier)
         domains = {each.domain for each in endpoints.requests}
         if len(domains) == 1:
             return models.of(enclave.subject, *domains).admitted(self._variation, endpoints)

@@ -98,7 +98,7 @@ class ParticipantsTransport(VendorTransport):
     ) -> Iterator[tuple[Edge, Verdict]]:
         """See :meth:`keymint.api.Transport.label`."""
         self.usable().require(tier, self._name)
-        models = EnclaveModels(enclaves, self._environment, self._software.model, keep_all=tier is Tier.EXCHANGE)
+        models = EnclaveModels(enclaves, self._environment, self._software.model, tier)
         if tier is not Tier.EXCHANGE:
             return trials.edge_verdicts(self._opener(tier), models, edges)
         vendor = self._vendor(nonconforming=True)
@@ -108,7 +108,7 @@ class ParticipantsTransport(VendorTransport):
 
     def admitted(self, enclave: InstalledEnclave, endpoints: Column, tier: Tier) -> bytes:
         """See :meth:`keymint.api.Transport.admitted`."""
-        opener, models = self._opener(tier), EnclaveModels([enclave], self._environment, self._software.model)
+        opener, models = self._opener(tier), EnclaveModels([enclave], self._environment, self._software.model, tier)
         admitted = bytearray(len(endpoints.requests))
         for domain in {each.domain for each in endpoints.requests}:
             creatable = [
@@ -233,7 +233,7 @@ class RosTransport(VendorTransport):
             with RosNetwork(self._environment.variables) as network:
                 vendor = "fastdds" if "rtps" in network.rmw else "cyclonedds"
                 version = DISTROS.get(self._environment.variables["ROS_DISTRO"], {}).get(vendor, "")
-                models = EnclaveModels(enclaves, self._environment, of_version(vendor, version))
+                models = EnclaveModels(enclaves, self._environment, of_version(vendor, version), tier)
                 for (subject, domain), group in groupby(edges, key=lambda edge: (edge.subject, edge.domain)):
                     yield from self._labelled(network, models, models.enclaves[subject], domain, group)
         except (MissingVendorError, ProcessFailedError) as error:
