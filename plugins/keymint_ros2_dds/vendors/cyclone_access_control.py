@@ -17,7 +17,7 @@ import functools
 import os
 import weakref
 from collections.abc import Iterable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from ctypes import POINTER, Structure, byref, c_char_p, c_int, c_int32, c_int64, c_ubyte, c_uint32, c_void_p
 from pathlib import Path
 from typing import Any
@@ -113,13 +113,11 @@ def library() -> Library:
 
 
 def _load_first(names: Iterable[str]) -> ctypes.CDLL:
-    failure = OSError("no name to load")
-    for name in names:
-        try:
+    *preferred, last = names
+    for name in preferred:
+        with suppress(OSError):
             return ctypes.CDLL(name, mode=ctypes.RTLD_GLOBAL)
-        except OSError as error:
-            failure = error
-    raise failure
+    return ctypes.CDLL(last, mode=ctypes.RTLD_GLOBAL)
 
 
 class CycloneAccessControl(AbstractContextManager["CycloneAccessControl"]):

@@ -199,10 +199,7 @@ CYCLONEDDS = Probe(
 )
 _LIBRARY = ("-std=gnu11", "-shared", "-fPIC")
 CYCLONEDDS_NONCONFORMING = replace(
-    CYCLONEDDS,
-    source="cyclonedds_nonconforming.c",
-    header="dds/security/dds_security_api.h",
-    arguments=_LIBRARY,
+    CYCLONEDDS, source="cyclonedds_nonconforming.c", header="dds/security/dds_security_api.h", arguments=_LIBRARY
 )
 """An access-control plugin that lets its own participant do everything; peers see its true permissions."""
 FAST_PACKAGES = ("libfastrtps-dev", "libfastcdr-dev", "g++")

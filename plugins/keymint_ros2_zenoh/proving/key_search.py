@@ -19,7 +19,7 @@ from functools import lru_cache
 from comarmor.patterns.decision_lists import BudgetError, Equal, ProofResult, SearchBudget, Unknown, Witness
 from comarmor.patterns.glob import Glob, units
 from comarmor.patterns.steps import StepLimitError, spend, step_limit
-from comarmor.patterns.tokens import MAX_CODE, Charset, Star, charset, distinct_letters
+from comarmor.patterns.tokens import ANY, Charset, Star, charset, distinct_letters
 from comarmor.values import dataclass
 from keymint_ros2_zenoh.keyexpr import ALPHABET, ANY_CHARACTERS, ANY_CHUNK, ANY_CHUNKS, VERBATIM, KeyExpr
 from keymint_ros2_zenoh.lowering.permissions import TYPE_AND_HASH
@@ -39,7 +39,6 @@ SYNTAX = "*$#?"
 IN_CHUNK = _without(f"/{SYNTAX}")
 START = _without(f"/{VERBATIM}{SYNTAX}")
 """First characters of chunks that are not verbatim."""
-_EVERY = Charset(((0, MAX_CODE),))
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +65,7 @@ class Automaton:
 
     def __init__(self) -> None:
         self.everything = END + 1
-        self._nodes = [_Node({}, (), accepts=True), _Node({}, ((_EVERY, self.everything),), accepts=True)]
+        self._nodes = [_Node({}, (), accepts=True), _Node({}, ((ANY, self.everything),), accepts=True)]
         self._known: dict[object, int] = {}
         self._steps: dict[tuple[int, str], tuple[int, ...]] = {}
         self._together: dict[tuple[frozenset[int], str], frozenset[int]] = {}

@@ -143,7 +143,7 @@ def in_sessions(
     for subject, group in groupby(edges, key=lambda edge: edge.subject):
         model = models.of(subject)
         try:
-            session = LoggedSession(network, models, model)
+            session = LoggedSession(network, models, subject)
         except ZenohError as error:
             reason = model.refusal or f"the session has no link to the router: {error}"
             verdict = Verdict(allowed=False, reason=reason, where=Origin(str(model.files.file)))
@@ -160,23 +160,26 @@ class LoggedSession:
     Args:
         network: the router.
         models: the enclaves.
+        subject: the subject of the session.
+
+    Attributes:
+        network: the router.
+        models: the enclaves.
         model: the enclave of the session.
 
     Raises:
         ZenohError: it gets no link to the router.
     """
 
-    def __init__(
-        self, network: Network, models: enclave_model.InstalledModels, model: enclave_model.ZenohEnclaveModel
-    ) -> None:
-        self.network, self.models, self.model = network, models, model
+    def __init__(self, network: Network, models: enclave_model.InstalledModels, subject: str) -> None:
+        self.network, self.models, self.model = network, models, models.of(subject)
         self._fences = count()
         self._declared: set[str] = set()
-        self._session = network.open(model)
+        self._session = network.open(self.model)
         zid = network.sessions.ask("zid", session=self._session)
         router_zid = network.router.ask("zid", session=ROUTER)
-        self._at_router = _Decisions(network.router, zid, model.router_access.watched)
-        self._at_session = _Decisions(network.sessions, router_zid, model.session_access.watched)
+        self._at_router = _Decisions(network.router, zid, self.model.router_access.watched)
+        self._at_session = _Decisions(network.sessions, router_zid, self.model.session_access.watched)
 
     def declare(self, needed: Iterable[Operation]) -> None:
         """Let both ends decide on the keys of operations."""
