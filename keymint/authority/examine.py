@@ -177,7 +177,8 @@ def contradictions(session: Session) -> Mapping[str, tuple[Diagnostic, ...]]:
     """
     by_authority: dict[str, tuple[Diagnostic, ...]] = {}
     for authority in in_order(session.profile.authorities):
-        files, key = read_files(session, authority, deployed=False), None
+        files = read_files(session, authority, deployed=False)
+        key: keys.PublicKey | None = None
         if not authority.certificate.key.uri:
             with suppress(KeymintError):  # a private key that cannot be read is no evidence
                 stored = stored_key(session, authority, files.name)

@@ -8,14 +8,14 @@ docs/verification.md says which verb reads what. All that judges installed files
 ============================================  =======================================================================
 here
 ``check``                                     all findings of a keystore, and of a second one beside it; one enclave:
-                                              its key, modes, record and strays; its build type asks more
+                                              its key and strays; its build type asks more
 ``keystore``                                  what ``prove`` asks as well; the register, and revocation lists, against
                                               what is installed
 ``authorities``                               certificates and keys of authorities, their dates and drift; private keys:
                                               where they are, plain, exposed, in a repository
 ``rights``                                    what every certificate in force may present, against the policy
-``files``                                     modes, owners, links and kinds of files; the install space outside of
-                                              the enclaves
+``files``                                     modes, owners, links, kinds and records of files; the install space
+                                              outside of the enclaves
 ``adopted_documents``                         signed documents of another tool's keystore, by a policy
 ``bundles``                                   may a robot take a bundle
 ``weaknesses``                                what Keymint would have made otherwise: ``keymint harden``

@@ -215,7 +215,8 @@ def _require_in_force(bundle: Bundle, now: datetime, where: Origin) -> None:
 
 def _require_later(bundle: Bundle, present: Present, before: Manifest | None, where: Origin) -> None:
     """Require that no number goes back. Without an earlier bundle, what is installed gives the numbers."""
-    manifest, back, ask = bundle.manifest, "", "ask the authority for a new one; 'keymint bundle' writes it"
+    manifest = bundle.manifest
+    back, ask = "", "ask the authority for a new one; 'keymint bundle' writes it"
     if number_of(bundle.lists, bundle.signer) != manifest.revocations:
         message = "its revocation list is another than its manifest says"
         raise KeymintError(message, where=where, help=ask, code="bundle-outdated")

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compare the installed keystore with its expected state: ``keymint check``.
 
-The build type checks the content of an enclave. This module checks the workspace: the key of each enclave, its files
-on the disk, the record of installed files, unexpected files, authorities, and the files that all enclaves share.
+The build type checks the content of an enclave. This module checks the workspace, with those beside it: the key of each
+enclave, its files on the disk, the record of installed files, unexpected files, authorities, and the files that all
+enclaves share.
 """
 
 from __future__ import annotations
@@ -136,13 +137,14 @@ def _inspections(session: Session, package: Package, files: Mapping[str, bytes],
         KeymintError: the package has defects.
     """
     build_types = build_types_of(session, package)
-    recorded, stamp = None, session.state.stamp(BUILD, package.name)
+    recorded: Mapping[str, bytes] | None = None
+    stamp = session.state.stamp(BUILD, package.name)
     # The record has the digests of what all build types built, and does not say whose each is.
     if len(build_types) == 1 and stamp is not None and is_build_current(session, package.name):
         built = built_documents(session, package.name)
         recorded = built if {file: digest(content) for file, content in built.items()} == stamp.outputs else None
-    # Differences between vendors were accepted when the package was built.
-    options, chains = BuildOptions(allow_vendor_specific=True), trusted_chains(session)
+    options = BuildOptions(allow_vendor_specific=True)  # differences were accepted when the package was built
+    chains = trusted_chains(session)
     folder, layout = session.workspace.shown(session.enclave_folder(package.name)), session.profile.layout
     found: dict[str, tuple[BuildType, Inspection]] = {}
     for name, build_type in build_types.items():

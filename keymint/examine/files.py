@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Judge what lies on the disk: modes, owners, links and kinds of files, and the install space outside of the enclaves.
+"""Judge what lies on the disk: modes, owners, links, kinds and records of files, and the install space as a whole.
 
 Whoever can write to a folder can replace its files, whatever their modes. Whoever can write to the profile or the
 sources decides what every robot may do.

@@ -68,8 +68,8 @@ def presented_rights(session: Session, state: State, policy: api.LoadedPolicy, e
         if presentation is None or not (packages := _packages(session, name)):
             continue
         # The answer on record holds if it depends on the same bytes.
-        key, inputs, context = f"{SHARED}/presented/{name}", _inputs(session, packages), policy_digest(policy)
-        stamp = state.stamp(STAGE, key)
+        key = f"{SHARED}/presented/{name}"
+        inputs, context, stamp = _inputs(session, packages), policy_digest(policy), state.stamp(STAGE, key)
         known = _load(stamp) if stamp and (stamp.inputs, stamp.context) == (inputs, context) else None
         # Earlier, documents may have been in force that are over by then.
         if known and known[0] <= session.now and not effort.standard_only:
@@ -115,7 +115,8 @@ def _answer(
     packages: Mapping[str, api.Package],
 ) -> _Answer:
     """Return the claims about the documents of the build type of some packages, and those that outlive the policy."""
-    register, holders = session.workspace.register, tuple(_holders(session, policy, packages))
+    register = session.workspace.register
+    holders = tuple(_holders(session, policy, packages))
     try:
         earlier = {each.content: each for each in register_of(session).rights if each.not_after >= session.now}
     except ValueError:

@@ -72,10 +72,8 @@ def _defects(session: Session, name: str, new: Issuance) -> Iterator[Diagnostic]
     """Yield why the authority must not decide this about a package."""
     before, subject = session.issuance(name), subject_of(name)
     if new.generation < before.generation:
-        message, where = (
-            f"has generation {before.generation}, and would fall to {new.generation}",
-            place_of(session, name),
-        )
+        message = f"has generation {before.generation}, and would fall to {new.generation}"
+        where = place_of(session, name)
         yield Diagnostic.error("generation-falls", message, where, "never lower a generation", subject)
         return
     identity = session.package(name).identity

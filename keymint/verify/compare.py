@@ -242,7 +242,8 @@ def label_enclave(
     Raises:
         KeymintError: the transport does not work.
     """
-    waiting, unanswered = iter(edges), deque[Edge]()
+    waiting = iter(edges)
+    unanswered: deque[Edge] = deque()
     try:
         yield from _answers(transport, (enclave,), waiting, tier, unanswered)
     except KeymintError as error:

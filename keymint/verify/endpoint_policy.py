@@ -167,9 +167,12 @@ class EndpointPolicy:
 
         There its own name and its ROS names decide; deny overrides allow.
         """
-        parts, found, object_ = [endpoint], [], endpoint.object
-        if len(names := object_.partitions) > 1:
+        object_ = endpoint.object
+        names = object_.partitions
+        parts = [endpoint]
+        if len(names) > 1:
             parts = [replace(endpoint, object=replace(object_, partitions=(name,) if name else ())) for name in names]
+        found: list[PolicyDecision] = []
         for part in parts:
             decisions = [self._policy.decide(edge) for edge in (part, *naming.meanings(part))]
             denying = [decision for decision in decisions if not decision.allowed and decision.where]

@@ -110,7 +110,8 @@ def installed_scopes(
             help="run 'keymint build' and 'keymint install'",
             code="enclave-missing",
         )
-    packages, install = {package.subject: package for package in chosen.values()}, session.workspace.install
+    packages = {package.subject: package for package in chosen.values()}
+    install = session.workspace.install
     enclaves = {
         subject: InstalledEnclave(subject, session.enclave(package.name), package.distro, install)
         for subject, package in sorted(packages.items())

@@ -205,8 +205,9 @@ def _labels(
     needed = {each.name for each in package.infrastructure} if package else set[str]()
     infrastructure = [folder for each, folder in folders.items() if each in needed]
     transports = [each for group in asked.values() for each in group.values()]
-    enclaves, others, labels = {edge.subject: enclave}, folders.values(), dict[str, Mismatch]()
-    with enclave_copies(session.tree, install, enclaves, transports, others, infrastructure) as copies:
+    enclaves = {edge.subject: enclave}
+    labels: dict[str, Mismatch] = {}
+    with enclave_copies(session.tree, install, enclaves, transports, folders.values(), infrastructure) as copies:
         (copy,) = copies.enclaves.values()
         for build_type, group in asked.items():
             explainer = Explainer(views[build_type].policy, group, cache(partial(find_models, build_type)), copies)
@@ -254,8 +255,10 @@ def nearest(rules: Sequence[Rule], edge: Edge) -> MatchedRule | None:
     """
     kind, permission = edge.object.kind, edge.permission
     allows = [rule for rule in rules if rule.effect is Effect.ALLOW]
-    if lacking := [(rule, lack) for rule in allows if (lack := _lack(rule, edge))]:
-        rule, (_, text) = min(lacking, key=lambda each: each[1][0])
+    lacks = [(rule, _lack(rule, edge)) for rule in allows]
+    found = [(rule, *lack) for rule, lack in lacks if lack]
+    if found:
+        rule, _, text = min(found, key=lambda each: each[1])
         return MatchedRule(rule, rule.origin, text)
     fitting = [rule for rule in reversed(allows) if rule.kind == kind and permission in rule.permissions]
     by_expression = {each: rule for rule in fitting for each in rule.expressions}
