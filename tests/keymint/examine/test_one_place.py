@@ -26,7 +26,7 @@ TWICE = {
         "grant-not-yet-valid", "revocation-list-expired", "revocation-list-not-yet-valid",
     },
     "the same defect in sources, in what is about to be made, or in a file that the user names": {
-        "domain-uncovered", "file-changed", "file-kind", "file-missing", "file-size", "key-password",
+        "domain-uncovered", "file-changed", "file-kind", "file-missing", "file-size",
         "zenoh-common-name", "zenoh-host-name", "zenoh-key-usage",
     },
     "the verb that would need it refuses": {
