@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 from functools import lru_cache
 
 from cryptography import x509
@@ -242,11 +243,8 @@ def _type(kind: str) -> tuple[x509.ObjectIdentifier, int]:
     if short := _CANONICAL.get(kind.lower()):
         return _TYPES[short]
     if kind[0].isdigit():
-        try:
+        with suppress(ValueError):
             oid = x509.ObjectIdentifier(kind)
-        except ValueError:
-            pass
-        else:
             return _TYPES[_SHORT[oid]] if oid in _SHORT else (oid, _UNBOUNDED)
     known = [*_TYPES, *_ALIASES]
     raise KeymintError(

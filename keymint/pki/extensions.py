@@ -6,7 +6,6 @@ from __future__ import annotations
 import ipaddress
 import re
 from collections.abc import Callable, Mapping
-from types import MappingProxyType
 from typing import Any, TypeVar
 
 from cryptography import x509
@@ -34,20 +33,18 @@ class Context:
     issuer: x509.Certificate | None
 
 
-KEY_USAGES: Mapping[str, str] = MappingProxyType(
-    {
-        "digitalSignature": "digital_signature",
-        "nonRepudiation": "content_commitment",
-        "contentCommitment": "content_commitment",
-        "keyEncipherment": "key_encipherment",
-        "dataEncipherment": "data_encipherment",
-        "keyAgreement": "key_agreement",
-        "keyCertSign": "key_cert_sign",
-        "cRLSign": "crl_sign",
-        "encipherOnly": "encipher_only",
-        "decipherOnly": "decipher_only",
-    }
-)
+_KEY_USAGES = {
+    "digitalSignature": "digital_signature",
+    "nonRepudiation": "content_commitment",
+    "contentCommitment": "content_commitment",
+    "keyEncipherment": "key_encipherment",
+    "dataEncipherment": "data_encipherment",
+    "keyAgreement": "key_agreement",
+    "keyCertSign": "key_cert_sign",
+    "cRLSign": "crl_sign",
+    "encipherOnly": "encipher_only",
+    "decipherOnly": "decipher_only",
+}
 """Key usages (RFC 5280, 4.2.1.3) and their names in :class:`x509.KeyUsage`."""
 _EXTENDED_KEY_USAGES = {
     "serverAuth": ExtendedKeyUsageOID.SERVER_AUTH,
@@ -78,9 +75,9 @@ def key_usage(*names: str) -> x509.KeyUsage:
     """Return a key usage from OpenSSL's names.
 
     Raises:
-        ValueError: a name is not a key of :data:`KEY_USAGES`.
+        ValueError: a name is not a key of :data:`_KEY_USAGES`.
     """
-    bits = dict.fromkeys(KEY_USAGES.values(), False) | {_one_of(name, KEY_USAGES): True for name in names}
+    bits = dict.fromkeys(_KEY_USAGES.values(), False) | {_one_of(name, _KEY_USAGES): True for name in names}
     return x509.KeyUsage(**bits)
 
 
@@ -92,7 +89,7 @@ def usages(certificate: x509.Certificate) -> tuple[str, ...] | None:
     usage = value(certificate, x509.KeyUsage)
     if usage is None:
         return None
-    named = {attribute: name for name, attribute in KEY_USAGES.items()}
+    named = {attribute: name for name, attribute in _KEY_USAGES.items()}
     defined = [each for each in named if usage.key_agreement or each not in {"encipher_only", "decipher_only"}]
     return tuple(named[each] for each in defined if getattr(usage, each))
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime, timedelta
-from types import MappingProxyType
 
 from cryptography import x509
 from cryptography.exceptions import UnsupportedAlgorithm
@@ -23,16 +22,14 @@ from keymint.pki import certificates, extensions, periods
 from keymint.pki.certificates import Issuer
 from keymint.pki.distinguished_names import to_text
 
-_FLAGS: Mapping[str, x509.ReasonFlags | None] = MappingProxyType(
-    {
-        "superseded": x509.ReasonFlags.superseded,
-        "key-compromise": x509.ReasonFlags.key_compromise,
-        "retired": x509.ReasonFlags.cessation_of_operation,
-        "affiliation-changed": x509.ReasonFlags.affiliation_changed,
-        "privilege-withdrawn": x509.ReasonFlags.privilege_withdrawn,
-        "unspecified": None,  # RFC 5280, 5.3.1: should be absent instead
-    }
-)
+_FLAGS: Mapping[str, x509.ReasonFlags | None] = {
+    "superseded": x509.ReasonFlags.superseded,
+    "key-compromise": x509.ReasonFlags.key_compromise,
+    "retired": x509.ReasonFlags.cessation_of_operation,
+    "affiliation-changed": x509.ReasonFlags.affiliation_changed,
+    "privilege-withdrawn": x509.ReasonFlags.privilege_withdrawn,
+    "unspecified": None,  # RFC 5280, 5.3.1: should be absent instead
+}
 _LAST = datetime.max.replace(tzinfo=UTC) - timedelta(seconds=1)
 
 

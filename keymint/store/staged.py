@@ -21,23 +21,9 @@ from dataclasses import field
 from typing import NoReturn
 
 from comarmor.values import dataclass
+from keymint.store import file_writing
 from keymint.store.changes import File, FolderChange
-from keymint.store.file_writing import (
-    FILE,
-    FOLDER,
-    NEW_FILE,
-    check_component,
-    create,
-    give,
-    is_temporary,
-    mount_of,
-    open_at,
-    refuse,
-    reported,
-    require_regular,
-    temporary,
-    write_all,
-)
+from keymint.store.file_writing import FILE, FOLDER, NEW_FILE, open_at, reported, temporary
 from keymint.store.open_folders import OpenFolders, Roots, close_to_others
 from keymint.view.file_reading import file_error
 
@@ -156,7 +142,7 @@ class Staging:
     def _add(self, order: int, change: FolderChange) -> None:
         folder = str(change.folder)
         for name in (*change.files, *change.removed):
-            check_component(name, folder)
+            file_writing.check_component(name, folder)
         if not change.files and not change.removed:
             return
         root = self._roots.of(folder)
@@ -169,7 +155,7 @@ class Staging:
         for part in folder[len(root) + 1 :].split("/"):
             inner = content.folders.get(part)
             if inner is None:
-                check_component(part, folder)
+                file_writing.check_component(part, folder)
                 inner = content.folders[part] = FolderContent(mode=0o700 if closed else 0o755, order=order)
             content = inner
         content.own = order
@@ -193,7 +179,7 @@ class Staging:
                         add(opened, staged, f"{shown}/{name}", inner)
                 continue
             except OSError as error:
-                refuse(f"{shown}/{name}", error)
+                file_writing.refuse(f"{shown}/{name}", error)
             try:
                 self._existing(opened, shown, name, old, inner)
             finally:
@@ -210,7 +196,7 @@ class Staging:
                 content.removed.intersection_update(os.listdir(old))
             changing = {*content.files, *content.removed}
             if len(changing) > 1:
-                if mount_of(old) != mount_of(parent):
+                if file_writing.mount_of(old) != file_writing.mount_of(parent):
                     refuse_mount(shown)
                 carried: dict[str, int] = {}
                 exchange = Exchange(
@@ -231,9 +217,9 @@ class Staging:
         if file is None:
             self._exchanges.append(Exchange(order, shown, name, None, file=True))
             return
-        replaced = require_regular(folder, shown, name, or_link=file.replaces_link) or os.fstat(folder)
+        replaced = file_writing.require_regular(folder, shown, name, or_link=file.replaces_link) or os.fstat(folder)
         with self._staging(folder, Exchange(order, shown, name, temporary(), file=True, size=1)) as staged:
-            create(folder, shown, staged, file, (replaced.st_uid, replaced.st_gid))
+            file_writing.create(folder, shown, staged, file, (replaced.st_uid, replaced.st_gid))
 
     @contextlib.contextmanager
     def _staging(self, folder: int, exchange: Exchange) -> Iterator[str]:
@@ -304,12 +290,12 @@ def stage(
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
         os.mkdir(name, 0o700, dir_fd=new_parent)
         with open_at(name, new_parent) as new:
-            give(new, (status.st_uid, status.st_gid))
+            file_writing.give(new, (status.st_uid, status.st_gid))
             _copy_attributes(old, new)
             _carry(old, new, shown, content, carried, inside)
             for file, changed in content.files.items():
-                replaced = require_regular(old, shown, file, or_link=changed.replaces_link) or status
-                create(new, shown, file, changed, (replaced.st_uid, replaced.st_gid))
+                replaced = file_writing.require_regular(old, shown, file, or_link=changed.replaces_link) or status
+                file_writing.create(new, shown, file, changed, (replaced.st_uid, replaced.st_gid))
             _add_folders(new, shown, content, [each.name for each in os.scandir(new) if each.is_dir()])
             if content.removes() and not list(os.scandir(new)):
                 os.rmdir(name, dir_fd=new_parent)
@@ -320,16 +306,16 @@ def stage(
 
 def _carry(old: int, new: int, shown: str, content: FolderContent, carried: dict[str, int], inside: str) -> None:
     """Carry over the entries that do not change, and stage the subfolders."""
-    mount = mount_of(old)
+    mount = file_writing.mount_of(old)
     for entry in sorted(os.scandir(old), key=lambda entry: entry.name):
         name = entry.name
-        if is_temporary(name):
+        if file_writing.is_temporary(name):
             continue
         if entry.is_dir(follow_symlinks=False):
             if name in content.removed:
                 raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
             with open_at(name, old) as inner:
-                if mount_of(inner) != mount:
+                if file_writing.mount_of(inner) != mount:
                     refuse_mount(f"{shown}/{name}")
                 below = content.folders.get(name, FolderContent())
                 stage(inner, new, name, f"{shown}/{name}", below, carried, f"{inside}{name}/")
@@ -361,7 +347,7 @@ def add(parent: int, name: str, shown: str, content: FolderContent) -> None:
         os.mkdir(name, 0o700, dir_fd=parent)
         with open_at(name, parent) as new:
             for name_inside, file in content.files.items():
-                create(new, shown, name_inside, file)
+                file_writing.create(new, shown, name_inside, file)
             _add_folders(new, shown, content)
             os.fchmod(new, 0o700 if content.private else content.mode)
 
@@ -389,8 +375,8 @@ def _copy(old: int, new: int, shown: str, name: str) -> None:
         raise file_error(shown, "carry-refused", message, "remove it, or move it elsewhere")
     with open_at(name, old, FILE) as source, open_at(name, new, NEW_FILE) as target:
         while chunk := os.read(source, 1 << 20):
-            write_all(target, chunk)
-        give(target, (status.st_uid, status.st_gid))
+            file_writing.write_all(target, chunk)
+        file_writing.give(target, (status.st_uid, status.st_gid))
         made = os.fstat(target)
         if (made.st_uid, made.st_gid) != (status.st_uid, status.st_gid):
             owner = f"user {status.st_uid} and group {status.st_gid}"

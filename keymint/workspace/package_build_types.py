@@ -88,12 +88,6 @@ def issuers_of(session: Session, package: Package) -> tuple[str, ...]:
     return tuple(dict.fromkeys((package.identity.issuer, *(role.name for role in roles))))
 
 
-def suffixes_read(session: Session, package: Package) -> tuple[str, ...]:
-    """Return the suffixes of the files that the transports read from the enclave of a package."""
-    suffixes = (suffix for each in build_types_of(session, package).values() for suffix in each.READS)
-    return tuple(dict.fromkeys(suffixes))
-
-
 def two_writers(
     session: Session,
     package: Package,

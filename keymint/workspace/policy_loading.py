@@ -11,12 +11,7 @@ from pathlib import Path
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.values import dataclass
 from comarmor.xml.package_folders import CopiedPackages, PackageFolders
-from keymint.api import (
-    AppliedProfile,
-    LoadedPolicy,
-    PolicyDecision,
-    PolicyStructure,
-)
+from keymint.api import AppliedProfile, LoadedPolicy, PolicyDecision, PolicyStructure
 from keymint.api.graph import Edge
 from keymint.api.plugin_loader import Plugins
 from keymint.errors import KeymintError

@@ -32,15 +32,7 @@ from keymint.pki.tokens.token_sessions import Tokens
 from keymint.store.changes import Plan
 from keymint.view.stamps import State, digest, digest_files
 from keymint.view.tree import Tree
-from keymint.workspace.workspace import (
-    DEFAULTS,
-    PACKAGE_MARKER,
-    PROFILE_MARKER,
-    Workspace,
-    package_paths,
-    packages,
-    profile_files,
-)
+from keymint.workspace.workspace import DEFAULTS, PACKAGE_MARKER, PROFILE_MARKER, Workspace, package_paths, packages
 
 _T = TypeVar("_T")
 _P = ParamSpec("_P")
@@ -116,7 +108,11 @@ class Inputs:
             KeymintError: there is no profile, no plugin recognises it, or it has defects (with ``file:line`` of each).
         """
         root = self.workspace.profile
-        files = profile_files(self.tree, root)
+        files = {
+            name: content
+            for name, content in self.tree.files(root, suffix=".xml", depth=2).items()
+            if "/" not in name or name.split("/")[0].endswith(".defaults")  # others belong to the policy
+        }
         if PROFILE_MARKER not in files:
             raise KeymintError(
                 "there is no profile",

@@ -17,7 +17,8 @@ from keymint import SPACES
 from keymint.errors import ExitCode, KeymintError
 from keymint.names import RESERVED, package_name
 from keymint.store.changes import File, FolderChange, Plan
-from keymint.view.tree import REGISTER, Tree
+from keymint.view.file_reading import REGISTER, file_error
+from keymint.view.tree import Tree
 
 PROFILE_MARKER = "keymint_profile.xml"
 PACKAGE_MARKER = "keymint_package.xml"
@@ -236,21 +237,9 @@ def _has_own_defaults(workspace: Workspace, path: str) -> bool:
         return False
     if is_there and Path(target).is_relative_to(workspace.root):
         return True
-    raise KeymintError(
-        f"is a link to {quote(target, 200)}, which is {'outside the workspace' if is_there else 'no folder'}",
-        where=Origin(path),
-        help=f"remove it, so that {workspace.shown(shared)} applies, or put a copy of the right folder in its place",
-        code="symlink-refused",
-    )
-
-
-def profile_files(tree: Tree, profile: Path) -> dict[str, bytes]:
-    """Return the XML files of a profile space by relative path, without those of the policy."""
-    return {
-        name: content
-        for name, content in tree.files(profile, suffix=".xml", depth=2).items()
-        if "/" not in name or name.split("/")[0].endswith(".defaults")
-    }
+    message = f"is a link to {quote(target, 200)}, which is {'outside the workspace' if is_there else 'no folder'}"
+    help_ = f"remove it, so that {workspace.shown(shared)} applies, or put a copy of the right folder in its place"
+    raise file_error(path, "symlink-refused", message, help_)
 
 
 def missing_gitignores(workspace: Workspace, plan: Plan) -> Sequence[FolderChange]:

@@ -205,18 +205,14 @@ class Tokens:
         except ImportError:
             from keymint.api.plugin_loader import how_to_add  # noqa: PLC0415 - for this error only
 
-            raise _error(
-                "pkcs11-module", "python-pkcs11 is not installed", where, how_to_add("python-pkcs11")
-            ) from None
+            help_ = how_to_add("python-pkcs11")
+            raise _error("pkcs11-module", "python-pkcs11 is not installed", where, help_) from None
         try:
             self._modules[path] = pkcs11.lib(path)
         except (pkcs11.PKCS11Error, RuntimeError) as error:
-            raise _error(
-                "pkcs11-module",
-                f"the PKCS #11 module {path} cannot be used: {str(error) or type(error).__name__}",
-                where,
-                f"install p11-kit, or name the module of your token in {MODULE_VARIABLE} or ?module-path=",
-            ) from None
+            message = f"the PKCS #11 module {path} cannot be used: {str(error) or type(error).__name__}"
+            help_ = f"install p11-kit, or name the module of your token in {MODULE_VARIABLE} or ?module-path="
+            raise _error("pkcs11-module", message, where, help_) from None
         return self._modules[path]
 
     def _token(self, module: Any, spec: KeySpec, uri: Pkcs11Uri, where: Origin | None) -> Any:

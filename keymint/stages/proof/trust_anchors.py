@@ -16,7 +16,7 @@ from keymint.authority.authority_files import trusted_chains
 from keymint.authority.examine import contradictions_for
 from keymint.stages.documents import installed_documents, shared_roles
 from keymint.workspace.installed_enclaves import INSTALLED, enclave_files
-from keymint.workspace.package_build_types import build_types_of, is_build_current, suffixes_read
+from keymint.workspace.package_build_types import build_types_of, is_build_current
 from keymint.workspace.session import Session, once
 
 
@@ -61,7 +61,8 @@ def _anchor(session: Session, names: tuple[str, ...]) -> TrustAnchor:
 
 def unread_of(session: Session, package: Package, unread: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
     """Return the findings on unreadable files that belong to an enclave, by the record or by their names."""
-    suffixes, stamp = suffixes_read(session, package), session.state.stamp(INSTALLED, package.name)
+    suffixes = tuple(suffix for each in build_types_of(session, package).values() for suffix in each.READS)
+    stamp = session.state.stamp(INSTALLED, package.name)
     named = ((each.where.file.rpartition("/")[2] if each.where else "", each) for each in unread)
     own = {*stamp.outputs, ""} if stamp else {""}
     return tuple(each for file, each in named if file in own or file.endswith(suffixes))

@@ -13,8 +13,9 @@ from comarmor.errors import Origin
 from keymint.api import Layout
 from keymint.errors import KeymintError
 from keymint.store.changes import Action, File, FolderChange, Plan, Step
+from keymint.view.tree import Tree
 from keymint.workspace.package_build_types import inputs_digest
-from keymint.workspace.session import Session
+from keymint.workspace.session import Inputs, Session
 from tests.conftest import Outcome
 from tests.keymint.stages.sessions import session_of
 
@@ -50,6 +51,24 @@ def test_a_layout_that_no_build_type_has_is_an_error_of_the_profile() -> None:
     assert (said.code, said.where) == ("layout-unknown", Origin("profile/keymint_profile.xml"))
     assert "no build type of the workspace has a layout 'dep'" in said.message
     assert "'deep'" in said.help
+
+
+def test_a_profile_is_loaded_from_its_space_without_the_policy(tmp_path: Path) -> None:
+    own = {"keymint_profile.xml", "profile.defaults/authorities.xml", "package.defaults/permissions.xml"}
+    for file in (*own, "comarmor.d/talker.xml", "comarmor.d/common/node.xml"):
+        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / file).touch()
+    given: list[str] = []
+    profile_type = SimpleNamespace(recognises=given.extend)
+    inputs: Any = SimpleNamespace(
+        workspace=SimpleNamespace(profile=tmp_path),
+        tree=Tree(),
+        plugins=SimpleNamespace(profile_types=lambda: {"recorder": profile_type}),
+        profile_marker=lambda: Origin("profile/keymint_profile.xml"),
+    )
+    with pytest.raises(KeymintError, match="no installed profile type"):
+        Inputs.session(inputs)
+    assert sorted(given) == sorted(own)
 
 
 # -- what a session knows about its sources --------------------------------------------------------------------------

@@ -11,7 +11,7 @@ import pytest
 from keymint import SPACES
 from keymint.errors import ExitCode, KeymintError
 from keymint.view.tree import Tree
-from keymint.workspace.workspace import Workspace, find, package_paths, packages, profile_files, shown_path
+from keymint.workspace.workspace import Workspace, find, package_paths, packages, shown_path
 
 
 def make(root: Path, *paths: str) -> Path:
@@ -120,26 +120,16 @@ def test_no_source_space_has_no_packages(tmp_path: Path) -> None:
     assert packages(Tree(), tmp_path / "missing") == ()
 
 
-def test_the_files_of_a_package_and_of_a_profile(tmp_path: Path) -> None:
+def test_the_files_of_a_package(tmp_path: Path) -> None:
     make(
         tmp_path,
         "src/a/permissions.xml",
         "src/a/notes.txt",
         "src/a/package.defaults/governance.xml",
         "src/a/b/permissions.xml",
-        "profile/keymint_profile.xml",
-        "profile/profile.defaults/authorities.xml",
-        "profile/package.defaults/permissions.xml",
-        "profile/comarmor.d/talker.xml",
-        "profile/comarmor.d/common/node.xml",
     )
     workspace = Workspace.at(tmp_path, {}, tmp_path)
     assert set(package_paths(Tree(), workspace, "a")) == {"permissions.xml", "package.defaults/governance.xml"}
-    assert set(profile_files(Tree(), tmp_path / "profile")) == {
-        "keymint_profile.xml",
-        "profile.defaults/authorities.xml",
-        "package.defaults/permissions.xml",
-    }
 
 
 def test_paths_are_shown_as_a_user_would_type_them() -> None:
