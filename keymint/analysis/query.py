@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parse queries such as ``who can publish /scan``, and answer who can do something, and what a subject can do.
+"""Answer who can do something, and what a subject can do.
 
 :func:`who_can` finds subjects among all possible ones, not only those that a policy names.
 """
@@ -11,11 +11,9 @@ from dataclasses import field
 
 from comarmor.errors import Origin
 from comarmor.patterns.decision_lists import Equal, ProofResult, Unknown, Witness
-from comarmor.patterns.glob import Glob, literal, matches, parse, right_quotient
+from comarmor.patterns.glob import Glob, literal, matches, right_quotient
 from comarmor.patterns.relations import disjoint
-from comarmor.patterns.tokens import PatternError
 from comarmor.rules import Effect, parts
-from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint.analysis.rule_lists import (
     allow_only,
@@ -31,93 +29,7 @@ from keymint.analysis.subject_patterns import can_exist, named_subjects, rules_o
 from keymint.analysis.symbolic_rules import EVERYBODY, Entries, SymbolicEntry, SymbolicRules
 from keymint.analysis.symbolic_search import QueryBudget, find_subject
 from keymint.api import LoadedPolicy
-from keymint.errors import ExitCode, KeymintError
 from keymint.ir import Rule
-from keymint.names import typed_permission, typed_subject
-
-FORMS = (
-    "who can PERMISSION OBJECT",
-    "what can SUBJECT do",
-    "can SUBJECT [ever] PERMISSION OBJECT",
-    "flows SUBJECT SUBJECT",
-    "isolated SUBJECT SUBJECT",
-)
-"""Queries: words in small letters are written as they are; the one in brackets may be left out."""
-_OPTIONAL = "[ever]"
-HEADS = tuple(form.split()[0] for form in FORMS)
-
-
-@dataclass(frozen=True, slots=True)
-class PolicyQuery:
-    """A parsed query.
-
-    Attributes:
-        head: ``who``, ``what``, ``can``, ``flows`` or ``isolated``.
-        subjects: expressions of subjects.
-        kind: kind of the object; empty without an object.
-        permission: a permission of that kind.
-        object: expression of the object.
-        partition: expression of the partition of a raw topic.
-    """
-
-    head: str
-    subjects: tuple[str, ...]
-    kind: str = ""
-    permission: str = ""
-    object: str = ""
-    partition: str = ""
-
-    @property
-    def names(self) -> Glob:
-        """Pattern of the words of the object."""
-        return query_pattern(self.kind, self.object, self.partition)
-
-
-def parse_query(words: Sequence[str], kind: str = "", partition: str = "") -> PolicyQuery:
-    """Parse the words of a query.
-
-    Args:
-        words: the words.
-        kind: kind of the object; empty if it follows from the words.
-        partition: expression of the partition of a raw topic.
-
-    Raises:
-        KeymintError: the query has none of the forms.
-    """
-    head, rest = (words[0], list(words[1:])) if words else ("", [])
-    if head not in HEADS:
-        hint = did_you_mean(head, HEADS, f"queries are: {'; '.join(FORMS)}")
-        raise _error(f"no query starts with {head!r}" if head else "the query is empty", hint)
-    form = next(form for form in FORMS if form.startswith(head))
-    expected = [word for word in form.split()[1:] if word != _OPTIONAL]
-    if _OPTIONAL in form and rest[1:2] == [_OPTIONAL.strip("[]")]:
-        del rest[1]
-    for at, word in enumerate(expected):
-        if word.islower() and rest[at : at + 1] != [word]:
-            found = f", not {rest[at]!r}" if at < len(rest) else ""
-            raise _error(f"expected {word!r}{found}", f"write '{form}'")
-    if len(rest) != len(expected):
-        raise _error(f"the query has too {'few' if len(rest) < len(expected) else 'many'} words", f"write '{form}'")
-    subjects = tuple(
-        _expression(typed_subject(text)) for text, word in zip(rest, expected, strict=True) if word == "SUBJECT"
-    )
-    if "OBJECT" not in expected:
-        return PolicyQuery(head, subjects)
-    *_, permission, name = rest
-    return PolicyQuery(head, subjects, *typed_permission(permission, name, kind), _expression(name), partition)
-
-
-def _expression(text: str) -> str:
-    try:
-        parse(text)
-    except PatternError as error:
-        diagnostic = error.diagnostics[0]
-        raise _error(f"{text!r}: {diagnostic.message}", diagnostic.help) from None
-    return text
-
-
-def _error(message: str, help_: str) -> KeymintError:
-    return KeymintError(message, help=help_, code="question", exit_code=ExitCode.USAGE)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,32 +10,112 @@ from typing import Any
 
 from comarmor.errors import Diagnostic
 from comarmor.patterns.decision_lists import Equal
-from comarmor.patterns.glob import parse
+from comarmor.patterns.glob import Glob, parse
+from comarmor.patterns.tokens import PatternError
 from comarmor.rules import RAW_PREFIXES
-from comarmor.text import quantity
+from comarmor.text import did_you_mean, quantity
+from comarmor.values import dataclass
 from keymint.analysis.channels import Channel, ChannelSearch
-from keymint.analysis.query import (
-    FORMS,
-    HEADS,
-    PermissionHolder,
-    PolicyQuery,
-    effective_permissions,
-    parse_query,
-    who_can,
-)
-from keymint.analysis.rule_lists import RAW, allow_only, display_name, find_permitted
+from keymint.analysis.query import PermissionHolder, effective_permissions, who_can
+from keymint.analysis.rule_lists import RAW, allow_only, display_name, find_permitted, query_pattern
 from keymint.analysis.subject_patterns import representatives, rules_of, unknown_subject
 from keymint.api import LoadedPolicy
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions, kind_option, policy_options
 from keymint.command_line.verb import Report, Run, argument, findings_if, flag, option, verb
 from keymint.errors import usage_error
+from keymint.names import typed_permission, typed_subject
 from keymint.output.json import line_json
 from keymint.output.report import members
 
+FORMS = (
+    "who can PERMISSION OBJECT",
+    "what can SUBJECT do",
+    "can SUBJECT [ever] PERMISSION OBJECT",
+    "flows SUBJECT SUBJECT",
+    "isolated SUBJECT SUBJECT",
+)
+"""Queries: words in small letters are written as they are; the one in brackets may be left out."""
+_OPTIONAL = "[ever]"
+HEADS = tuple(form.split()[0] for form in FORMS)
 _MOST = 20
 _Answer = tuple[str, dict[str, Any]]
 """``yes``, ``no`` or ``unknown``, and further results."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Question:
+    """A parsed query.
+
+    Attributes:
+        head: ``who``, ``what``, ``can``, ``flows`` or ``isolated``.
+        subjects: expressions of subjects.
+        kind: kind of the object; empty without an object.
+        permission: a permission of that kind.
+        object: expression of the object.
+        partition: expression of the partition of a raw topic.
+    """
+
+    head: str
+    subjects: tuple[str, ...]
+    kind: str = ""
+    permission: str = ""
+    object: str = ""
+    partition: str = ""
+
+    @property
+    def names(self) -> Glob:
+        """Pattern of the words of the object."""
+        return query_pattern(self.kind, self.object, self.partition)
+
+
+def _parse(words: Sequence[str], kind: str, partition: str) -> _Question:
+    """Parse the words of a query.
+
+    Args:
+        words: the words.
+        kind: kind of the object; empty if it follows from the words.
+        partition: expression of the partition of a raw topic.
+
+    Raises:
+        KeymintError: the query has none of the forms.
+    """
+    head, rest = (words[0], list(words[1:])) if words else ("", [])
+    if head not in HEADS:
+        hint = did_you_mean(head, HEADS, f"queries are: {'; '.join(FORMS)}")
+        raise usage_error(f"no query starts with {head!r}" if head else "the query is empty", hint, "question")
+    form = next(form for form in FORMS if form.startswith(head))
+    expected = [word for word in form.split()[1:] if word != _OPTIONAL]
+    if _OPTIONAL in form and rest[1:2] == [_OPTIONAL.strip("[]")]:
+        del rest[1]
+    for at, word in enumerate(expected):
+        if word.islower() and rest[at : at + 1] != [word]:
+            found = f", not {rest[at]!r}" if at < len(rest) else ""
+            raise usage_error(f"expected {word!r}{found}", f"write '{form}'", "question")
+    if len(rest) != len(expected):
+        number = "few" if len(rest) < len(expected) else "many"
+        raise usage_error(f"the query has too {number} words", f"write '{form}'", "question")
+    subjects = tuple(
+        _expression(typed_subject(text)) for text, word in zip(rest, expected, strict=True) if word == "SUBJECT"
+    )
+    if "OBJECT" not in expected:
+        return _Question(head, subjects)
+    *_, permission, name = rest
+    return _Question(head, subjects, *typed_permission(permission, name, kind), _expression(name), partition)
+
+
+def _expression(text: str) -> str:
+    """Return an expression that is right.
+
+    Raises:
+        KeymintError: it has an error.
+    """
+    try:
+        parse(text)
+    except PatternError as error:
+        diagnostic = error.diagnostics[0]
+        raise usage_error(f"{text!r}: {diagnostic.message}", diagnostic.help, "question") from None
+    return text
 
 
 @verb()
@@ -74,7 +154,7 @@ def query(
             "use it with 'flows' or 'isolated'",
         )
     for expression in but:
-        parse_query(["who", "can", "publish", expression])  # checks the expression
+        _expression(expression)
     policies = Policies(run, policy_options)
     policy = policies.load(path)
     if about_flows:
@@ -91,7 +171,7 @@ def query(
     return run.report(result, warnings, findings_if(failed))
 
 
-def _doubts(policy: LoadedPolicy, question: PolicyQuery, verdict: str, *, typed: bool) -> Iterator[Diagnostic]:
+def _doubts(policy: LoadedPolicy, question: _Question, verdict: str, *, typed: bool) -> Iterator[Diagnostic]:
     """Yield warnings about likely mistakes in a question."""
     for subject in question.subjects if question.head != "what" else ():
         if problem := unknown_subject(policy, parse(subject)):
@@ -107,7 +187,7 @@ def _doubts(policy: LoadedPolicy, question: PolicyQuery, verdict: str, *, typed:
         yield Diagnostic.warning("query-object", f"{name!r} is read as a raw topic", help=help_)
 
 
-def _read(words: Sequence[str], folder: Path, kind: str, partition: str) -> tuple[Path | None, PolicyQuery]:
+def _read(words: Sequence[str], folder: Path, kind: str, partition: str) -> tuple[Path | None, _Question]:
     """Return the path of the policy, if one is named, and the question, which may be one or several arguments."""
     path: Path | None = None
     rest = list(words)
@@ -115,10 +195,10 @@ def _read(words: Sequence[str], folder: Path, kind: str, partition: str) -> tupl
         path = Path(rest.pop(0))
     if not rest:
         raise usage_error("the question is missing", f"ask one of: {'; '.join(FORMS)}")
-    return path, parse_query([each for one in rest for each in one.split()], kind, partition)
+    return path, _parse([each for one in rest for each in one.split()], kind, partition)
 
 
-def _permitted(run: Run, policy: LoadedPolicy, question: PolicyQuery) -> _Answer:
+def _permitted(run: Run, policy: LoadedPolicy, question: _Question) -> _Answer:
     """Return who has the permission that a question is about, of the subjects that it names, else of all."""
     subjects = parse(next(iter(question.subjects), "*"))
     holders = list(who_can(policy, subjects, question.kind, question.permission, question.names))
@@ -137,7 +217,7 @@ def _permitted(run: Run, policy: LoadedPolicy, question: PolicyQuery) -> _Answer
     return verdict, {"witness": _as_data(shown, question) if shown else None}
 
 
-def _holder(run: Run, holder: PermissionHolder, question: PolicyQuery) -> str:
+def _holder(run: Run, holder: PermissionHolder, question: _Question) -> str:
     """Return the holder of a permission, with the name and the rule."""
     like = f" (like {holder.like})" if holder.like and holder.like != holder.subject else ""
     if holder.unknown:
@@ -146,7 +226,7 @@ def _holder(run: Run, holder: PermissionHolder, question: PolicyQuery) -> str:
     return f"{holder.subject}{like} {question.permission} {name} ({run.place(holder.where)})"
 
 
-def _as_data(holder: PermissionHolder, question: PolicyQuery) -> dict[str, Any]:
+def _as_data(holder: PermissionHolder, question: _Question) -> dict[str, Any]:
     return {
         **members(holder, "subject", "like"),
         "permission": question.permission,
@@ -156,7 +236,7 @@ def _as_data(holder: PermissionHolder, question: PolicyQuery) -> dict[str, Any]:
     }
 
 
-def _what(run: Run, policy: LoadedPolicy, question: PolicyQuery) -> _Answer:
+def _what(run: Run, policy: LoadedPolicy, question: _Question) -> _Answer:
     (expression,) = question.subjects
     subjects = representatives(policy, parse(expression))
     abilities: list[dict[str, Any]] = []
@@ -188,7 +268,7 @@ def _what(run: Run, policy: LoadedPolicy, question: PolicyQuery) -> _Answer:
 
 
 def _flows(
-    run: Run, channels: ChannelSearch, question: PolicyQuery, sources: Sequence[str], targets: Sequence[str]
+    run: Run, channels: ChannelSearch, question: _Question, sources: Sequence[str], targets: Sequence[str]
 ) -> _Answer:
     one, other = question.subjects
     for expression, found in ((one, sources), (other, targets)):
@@ -206,7 +286,7 @@ def _flows(
 
 
 def _isolated(
-    run: Run, channels: ChannelSearch, question: PolicyQuery, writers: Sequence[str], readers: Sequence[str]
+    run: Run, channels: ChannelSearch, question: _Question, writers: Sequence[str], readers: Sequence[str]
 ) -> _Answer:
     one, other = question.subjects
     pairs = [*product(writers, readers), *product(readers, writers)]
