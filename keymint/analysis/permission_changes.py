@@ -119,8 +119,7 @@ class _RuleComparison:
 
     def changes(self) -> Iterator[PermissionChange]:
         """Yield the changes, permissions without parts first; composite permissions cover those of their parts."""
-        keys = [(kind, permission) for kind, permissions in PERMISSIONS.items() for permission in permissions]
-        composite = [change for key in keys if key in PARTS for change in self._composite(key)]
+        composite = [change for key in PARTS for change in self._composite(key)]
         explained: dict[PermissionKey, list[Glob]] = {}
         for change in composite:
             pieces = [*part_patterns(change.kind, change.permission, change.objects)]
@@ -130,11 +129,10 @@ class _RuleComparison:
             ):
                 for key, piece in pieces:
                     explained.setdefault(key, []).append(piece)
-        for key in keys:
-            if key not in PARTS:
-                for change in self._elementary(key):
-                    if not any(covers(outer, change.objects) for outer in explained.get(key, ())):
-                        yield change
+        for key in KEYS:
+            for change in self._elementary(key):
+                if not any(covers(outer, change.objects) for outer in explained.get(key, ())):
+                    yield change
         yield from composite
 
     def _find(self, kind: str, *lists: DecisionList) -> ProofResult:

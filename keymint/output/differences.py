@@ -136,16 +136,13 @@ def _code(text: str) -> str:
     """Return a code span (CommonMark 0.31.2, 6.1) that may stand in a table; no text ends it."""
     fence = "`" * (max(map(len, re.findall("`+", text)), default=0) + 1)
     blank = " " * ("`" in (text[:1], text[-1:]))
-    return _PIPE.sub(_escaped_pipe, f"{fence}{blank}{text}{blank}{fence}")
+    # A pipe gets backslashes of which the last escapes it, however many there are.
+    return _PIPE.sub(
+        lambda match: match[1] + "\\" * (1 + len(match[1]) % 2) + "|", f"{fence}{blank}{text}{blank}{fence}"
+    )
 
 
 _PIPE = lazy_regex(r"(\\*)\|")
-
-
-def _escaped_pipe(match: re.Match[str]) -> str:
-    """Return a pipe after backslashes of which the last escapes it, however many there are."""
-    backslashes = match[1]
-    return backslashes + "\\" * (1 + len(backslashes) % 2) + "|"
 
 
 def differences_json(differences: Sequence[SubjectChanges], typed: Typed) -> list[dict[str, Any]]:

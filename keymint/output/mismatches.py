@@ -7,7 +7,7 @@ These are SARIF, JUnit, and the JSON of ``keymint verify``, which ``docs/json.md
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import Any
 
 from comarmor.errors import Diagnostic, Severity, citation
@@ -84,26 +84,19 @@ def rule_text(rule: Rule) -> str:
 # -- as diagnostics --------------------------------------------------------------------------------------------------
 
 
-def remedy(mismatch: Mismatch) -> str:
-    """Return how to fix a mismatch."""
-    name = name_of(mismatch.edge.subject)
-    much = "more" if mismatch.error is EdgeOutcome.FALSE_POSITIVE else "less"
-    return (
-        f"the enclave permits {much} than the policy; rebuild it: "
-        f"keymint create {name}; keymint build -f {name}; keymint install {name}"
-    )
-
-
 def mismatch_finding(transports: Sequence[str], mismatches: Sequence[Mismatch]) -> Diagnostic:
     """Return the diagnostic on mismatches that have one cause for some transports."""
     first, *others = mismatches
     some = [f"{each.edge.permission} {each.edge.object.name}" for each in others[:_EXAMPLES]]
     also = f"; also {len(others)} more: {', '.join(some)}{' …' if len(others) > len(some) else ''}"
+    name = name_of(first.edge.subject)
+    much = "more" if first.error is EdgeOutcome.FALSE_POSITIVE else "less"
+    rebuild = f"keymint create {name}; keymint build -f {name}; keymint install {name}"
     return Diagnostic.error(
         str(first.error),
         mismatch_text(transports, first, at_rule=True) + (also if others else ""),
         first.policy.where or first.document,
-        remedy(first),
+        f"the enclave permits {much} than the policy; rebuild it: {rebuild}",
         first.edge.subject,
     )
 
@@ -165,22 +158,18 @@ def junit_suites(comparisons: Iterable[tuple[EdgeComparison, Sequence[str]]]) ->
     Args:
         comparisons: the comparison of each transport, with the subjects that it was asked about.
     """
-    return {
-        f"{comparison.transport} ({comparison.tier})": [_case(comparison, subject) for subject in subjects]
-        for comparison, subjects in comparisons
-    }
-
-
-def _case(comparison: EdgeComparison, subject: str) -> JUnitCase:
-    case = JUnitCase(f"keymint.{comparison.transport}", subject)
-    count = comparison.wrong.get(subject, 0)
-    if not count:
-        return case
-    lines = [
-        mismatch_text([comparison.transport], each) for each in comparison.findings if each.edge.subject == subject
-    ]
-    failure = "verify", f"{quantity(count, 'mismatch')} between policy and transport"
-    return replace(case, failure=failure, details="\n".join(lines) or "not listed: there are too many mismatches")
+    suites: dict[str, list[JUnitCase]] = {}
+    for comparison, subjects in comparisons:
+        cases = suites[f"{comparison.transport} ({comparison.tier})"] = []
+        for subject in subjects:
+            failure, details = None, ""
+            if count := comparison.wrong.get(subject, 0):
+                failure = "verify", f"{quantity(count, 'mismatch')} between policy and transport"
+                listed = [each for each in comparison.findings if each.edge.subject == subject]
+                lines = [mismatch_text([comparison.transport], each) for each in listed]
+                details = "\n".join(lines) or "not listed: there are too many mismatches"
+            cases.append(JUnitCase(f"keymint.{comparison.transport}", subject, failure, details))
+    return suites
 
 
 # -- as JSON -----------------------------------------------------------------------------------------------------------
