@@ -101,9 +101,8 @@ class _Verbs(VerbGroup):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         super().format_commands(ctx, formatter)
         with formatter.section("Workspace layout (options of every verb that takes --workspace)"):
-            formatter.write_dl(
-                [(f"--{space}-space DIR", f"Directory of the {space} space [{space}/].") for space in SPACES]
-            )
+            named = ((f"--{space}-space DIR", f"Directory of the {space} space [{space}/].") for space in SPACES)
+            formatter.write_dl([*named])
 
 
 @click.group(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -212,10 +211,8 @@ def _fail(arguments: Sequence[str], code: str, message: str, exit_code: ExitCode
     from keymint.output.report import Report  # noqa: PLC0415
 
     verb = next((argument for argument in arguments if argument in VERBS), "keymint")
-    diagnostics = (Diagnostic.error(code, message),)
-    Console(Streams(sys.stdout, sys.stderr), as_json=True).show(
-        Report(verb, None, (), diagnostics, exit_code=exit_code)
-    )
+    report = Report(verb, None, (), (Diagnostic.error(code, message),), exit_code=exit_code)
+    Console(Streams(sys.stdout, sys.stderr), as_json=True).show(report)
     return int(exit_code)
 
 

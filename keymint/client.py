@@ -101,11 +101,9 @@ class Client:
         run = self._run("provision", name)
         enclave = self._enclave(run.carry_out(self._workspace, make_plan), name)
         if not enclave.folder.is_dir():
-            raise KeymintError(
-                f"the certificate of {subject_of(name)} was revoked, so nothing is issued for its key",
-                help=f"'keymint renew --rekey {name}' makes a new key",
-                code="identity-revoked",
-            )
+            message = f"the certificate of {subject_of(name)} was revoked, so nothing is issued for its key"
+            help_ = f"'keymint renew --rekey {name}' makes a new key"
+            raise KeymintError(message, help=help_, code="identity-revoked")
         return enclave
 
     def renew(self, *subjects: str, threshold: Threshold = DEFAULT, rekey: bool = False) -> tuple[Enclave, ...]:

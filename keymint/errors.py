@@ -23,11 +23,8 @@ def usage_error(message: str, help_: str, code: str = "usage") -> KeymintError:
 
 def process_ended(code: str) -> KeymintError:
     """Return the error that a process of a run ended before its work was done, e.g. for want of memory."""
-    return KeymintError(
-        "a process of this run ended before its work was done",
-        help="was it killed, or is memory short? run the command again, or with -j 1",
-        code=code,
-    )
+    help_ = "was it killed, or is memory short? run the command again, or with -j 1"
+    return KeymintError("a process of this run ended before its work was done", help=help_, code=code)
 
 
 def known_authority(name: str, known: Collection[str], where: Origin | None, job: str = "", help_: str = "") -> str:

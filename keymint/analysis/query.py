@@ -157,29 +157,15 @@ def _without(entries: Sequence[SymbolicEntry], suffix: str) -> Iterator[Symbolic
         yield from (SymbolicEntry(entry.subjects, pattern) for pattern in right_quotient(entry.object, suffix))
 
 
-@dataclass(frozen=True, slots=True)
-class EffectivePermission:
-    """A permission that a subject has on objects that match an expression.
+def effective_permissions(rules: Sequence[Rule]) -> Iterator[tuple[Rule, str, str, tuple[str, ...]]]:
+    """Yield the permissions by ALLOW rules that DENY rules do not deny completely.
 
-    Attributes:
-        permission: the permission.
-        expression: the expression of the rule.
-        partitions: partitions of the rule.
-        but: expressions of DENY rules that deny a part of it.
-        audit: the rule asks for monitoring.
-        where: the rule.
+    Args:
+        rules: the rules of a subject.
+
+    Yields:
+        A rule, one of its permissions, one of its expressions, and the expressions of DENY rules that deny a part.
     """
-
-    permission: str
-    expression: str
-    partitions: tuple[str, ...]
-    but: tuple[str, ...]
-    audit: bool
-    where: Origin
-
-
-def effective_permissions(rules: Sequence[Rule]) -> Iterator[EffectivePermission]:
-    """Yield the permissions by ALLOW rules that DENY rules do not deny completely."""
     denials = [rule for rule in rules if rule.effect is Effect.DENY]
     for rule in rules:
         if rule.effect is not Effect.ALLOW:
@@ -190,8 +176,7 @@ def effective_permissions(rules: Sequence[Rule]) -> Iterator[EffectivePermission
                 words = [query_pattern(rule.kind, expression, partition) for partition in rule.partitions or ("",)]
                 if all(isinstance(find_permitted(rule.kind, allow_only(one), *lists), Equal) for one in words):
                     continue
-                but = _denied_expressions(rule, expression, permission, denials)
-                yield EffectivePermission(permission, expression, rule.partitions, but, rule.audit, rule.origin)
+                yield rule, permission, expression, _denied_expressions(rule, expression, permission, denials)
 
 
 def _denied_expressions(rule: Rule, expression: str, permission: str, denials: Sequence[Rule]) -> tuple[str, ...]:

@@ -86,12 +86,8 @@ def fill_placeholders(pattern: Glob, namespace: Glob, name: Glob) -> Glob:
     """Return a pattern with its placeholders replaced by patterns of namespace and name."""
     if not placeholders(pattern):
         return pattern
-    values = {NAMESPACE: namespace, NAME: name}
-    return normalise(
-        each
-        for token in units(pattern)
-        for each in (values.get(token, (token,)) if isinstance(token, str) else (token,))
-    )
+    values: dict[Token, Glob] = {NAMESPACE: namespace, NAME: name}
+    return normalise(each for token in units(pattern) for each in values.get(token, (token,)))
 
 
 def exact_halves(subject: str) -> tuple[Glob, Glob]:

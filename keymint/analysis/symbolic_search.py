@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import field
 from functools import lru_cache
-from itertools import product
+from itertools import count, product
 
 from comarmor.patterns.decision_lists import (
     Block,
@@ -82,12 +82,10 @@ class QueryBudget:
 
     def next_query(self, lists: int = 1) -> SearchBudget:
         """Return the budget of the next query; a state counts once for each decision list."""
-        calls = 0
+        calls = count(1)
 
         def go_on() -> bool:
-            nonlocal calls
-            calls += 1
-            return self.spend(lists * (_FEW if calls <= _STARTS else _TICK))
+            return self.spend(lists * (_FEW if next(calls) <= _STARTS else _TICK))
 
         return SearchBudget(max(1, min(QUERY // lists, self.states - self.spent)), go_on)
 

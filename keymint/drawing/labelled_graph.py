@@ -303,11 +303,9 @@ def _edges_to_names(
 
 def _refuse_large(edges: int) -> None:
     if edges > MOST_EDGES:
-        raise KeymintError(
-            f"the graph has more than {MOST_EDGES} edges, too many to draw",
-            help="select a part with --subject or --namespace, or omit --all",
-            code="graph-large",
-        )
+        message = f"the graph has more than {MOST_EDGES} edges, too many to draw"
+        help_ = "select a part with --subject or --namespace, or omit --all"
+        raise KeymintError(message, help=help_, code="graph-large")
 
 
 def policy_label(decision: PolicyDecision, typed: Callable[[str], str]) -> Label:

@@ -98,11 +98,9 @@ def png(document: bytes, scale: float = 2.0) -> bytes:
     try:
         import resvg_py  # noqa: PLC0415 - optional
     except ImportError as error:
-        raise KeymintError(
-            "PNG pictures need resvg, which is not installed",
-            help=f"install it with '{how_to_add('resvg-py')}', or write .svg",
-            code="png-unavailable",
-        ) from error
+        message = "PNG pictures need resvg, which is not installed"
+        help_ = f"install it with '{how_to_add('resvg-py')}', or write .svg"
+        raise KeymintError(message, help=help_, code="png-unavailable") from error
     from lxml import etree  # noqa: PLC0415 - slow, only for PNG
 
     root = etree.fromstring(document)
@@ -110,11 +108,9 @@ def png(document: bytes, scale: float = 2.0) -> bytes:
     zoom = min(scale, (MOST_PIXELS / pixels) ** 0.5)
     try:
         if resvg_py.svg_to_bytes(svg_string=_LETTER) == resvg_py.svg_to_bytes(svg_string=_NOTHING):
-            raise KeymintError(
-                "no fixed-width font is installed; the picture would have no names",
-                help="install one (fonts-dejavu-core on Debian and Ubuntu), or write .svg",
-                code="png-fonts",
-            )
+            message = "no fixed-width font is installed; the picture would have no names"
+            help_ = "install one (fonts-dejavu-core on Debian and Ubuntu), or write .svg"
+            raise KeymintError(message, help=help_, code="png-fonts")
         return bytes(resvg_py.svg_to_bytes(svg_string=document.decode(), zoom=zoom))
     except ValueError as error:
         raise KeymintError(

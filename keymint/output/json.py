@@ -17,13 +17,9 @@ Typed = Callable[[str], str]
 
 def place_json(where: Origin | None, typed: Typed) -> Mapping[str, Any] | None:
     """Return a place, with the places that include it."""
-    if where is None:
-        return None
-    return {
-        "file": typed(where.file),
-        "line": where.line or None,
-        "included_from": [{"file": typed(outer.file), "line": outer.line} for outer in where.chain],
-    }
+    included = [{"file": typed(outer.file), "line": outer.line} for outer in (where.chain if where else ())]
+    line = line_json(where, typed)
+    return {**line, "included_from": included} if line else None
 
 
 def line_json(where: Origin | None, typed: Typed = str) -> Mapping[str, Any] | None:

@@ -162,12 +162,10 @@ def _files(run: Run, types: Sequence[PolicyType], paths: Iterable[Path]) -> Mapp
 def _found(run: Run, types: Sequence[PolicyType], path: Path | None) -> Iterator[tuple[Path, bool]]:
     """Yield the files that a path stands for, each with whether it was named itself."""
     for place in (path,) if path is not None and not is_folder(run, path) else _places(run, path):
-        if not is_folder(run, place):
+        if is_folder(run, place):
+            yield from ((file, False) for each in types for file in each.written_files(place))
+        else:
             yield place, True
-            continue
-        for each in types:
-            for file in each.written_files(place):
-                yield file, False
 
 
 def _places(run: Run, path: Path | None) -> Sequence[Path]:

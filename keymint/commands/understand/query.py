@@ -237,33 +237,34 @@ def _as_data(holder: PermissionHolder, question: _Question) -> dict[str, Any]:
 
 
 def _what(run: Run, policy: LoadedPolicy, question: _Question) -> _Answer:
-    (expression,) = question.subjects
-    subjects = representatives(policy, parse(expression))
+    (asked,) = question.subjects
+    subjects = representatives(policy, parse(asked))
     abilities: list[dict[str, Any]] = []
     shown: list[dict[str, Any]] = []
     for subject in subjects:
-        for each in effective_permissions(rules_of(policy, subject)):
+        for rule, permission, expression, but in effective_permissions(rules_of(policy, subject)):
             ability = {
                 "subject": subject,
-                **members(each, "permission", "expression", "partitions"),
-                "except": each.but,
-                "audit": each.audit,
-                "rule": line_json(each.where),
+                "permission": permission,
+                "expression": expression,
+                "partitions": rule.partitions,
+                "except": but,
+                "audit": rule.audit,
+                "rule": line_json(rule.origin),
             }
             abilities.append(ability)
-            partitions = "".join(f" in partition {one!r}" for one in each.partitions)
-            but = f" but {', '.join(each.but)}" if each.but else ""
-            objects = f"{each.expression}{partitions}{but}{'  AUDIT' if each.audit else ''}"
-            shown.append(ability | {"objects": objects, "place": run.place(each.where)})
+            objects = expression + "".join(f" in partition {one!r}" for one in rule.partitions)
+            objects += (f" but {', '.join(but)}" if but else "") + ("  AUDIT" if rule.audit else "")
+            shown.append(ability | {"objects": objects, "place": run.place(rule.origin)})
     if shown:
         columns = {"SUBJECT": "subject"} if len(subjects) > 1 else {}
         run.console.table(columns | {"PERMISSION": "permission", "OBJECTS": "objects", "RULE": "place"}, shown)
     elif not subjects:
-        run.console.line(f"no profile of the policy applies to any subject that {expression} matches")
+        run.console.line(f"no profile of the policy applies to any subject that {asked} matches")
     else:
         applies = any(policy.rules(subject) is not None for subject in subjects)
         why = "no rule allows it anything" if applies else "no profile of the policy applies to it"
-        run.console.line(f"{expression} can do nothing: {why}")
+        run.console.line(f"{asked} can do nothing: {why}")
     return "yes" if abilities else "no", {"subjects": subjects, "abilities": abilities}
 
 

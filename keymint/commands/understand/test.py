@@ -52,10 +52,8 @@ def test(
     missing = next((folder for folder in folders if not folder.exists()), None)
     if missing is not None:
         shown = run.typed(str(missing))
-        help_ = "name a policy, or its directory"
-        raise KeymintError(
-            f"the policy {shown!r} does not exist", where=Origin(shown), help=help_, code="policy-missing"
-        )
+        message, help_ = f"the policy {shown!r} does not exist", "name a policy, or its directory"
+        raise KeymintError(message, where=Origin(shown), help=help_, code="policy-missing")
     files: dict[Path, Sequence[Expectation]] = {}
     for folder in folders:
         expectations = policy_type.expectations(folder)
