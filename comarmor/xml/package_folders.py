@@ -59,8 +59,8 @@ class CopiedPackages:
     def folder(self, package: str, where: Origin) -> SandboxedFolder:  # noqa: ARG002 - see InstalledPackages
         """Return the folder of the copies of a package."""
         place = self.root / package
-        shown = f"{PACKAGE}{package}"
-        return SandboxedFolder(place.resolve(), shown, package, place, absent_is_empty=self.absent_is_empty)
+        real, shown = place.resolve(), f"{PACKAGE}{package}"
+        return SandboxedFolder(real, shown, package, place, absent_is_empty=self.absent_is_empty)
 
     def looked_at(self, package: str) -> tuple[Path, ...]:  # noqa: ARG002 - see InstalledPackages
         """Return nothing: copies are where they are."""
@@ -134,7 +134,7 @@ class InstalledPackages:
         """Return the paths that tell where a package is; while none of them changes, neither does the answer."""
         paths: list[Path] = []
         for prefix in self.prefixes:
-            paths += _marks(prefix, package)
+            paths += (path for _, path in _marks(prefix, package))
             if _found_in(prefix, package):
                 break
         return tuple(paths)
@@ -163,12 +163,11 @@ class InstalledPackages:
                     help="what a package ships must not depend on the current folder; the setup files of ROS 2 comply",
                     code="package-prefix",
                 )
-            try:
-                if _has(prefix, package):
-                    return prefix
-            except OSError as error:
-                with file_errors(f"'{path_text(str(error.filename))}'", where):
-                    raise
+            for kind, mark in _marks(prefix, package):
+                # That it cannot be told must not mean that a later prefix is taken.
+                with file_errors(f"'{path_text(str(mark))}'", where):
+                    if _is(kind, mark):
+                        return prefix
         known = sorted({name for prefix in self.prefixes for name in _names(prefix)})
         prefixes = quantity(len(self.prefixes), "prefix")
         advice = f"source the setup file of the workspace that has it; {SEARCH_PATH} lists {prefixes}"
@@ -186,19 +185,10 @@ PackageFolders = CopiedPackages | InstalledPackages
 """What finds the folder of the profiles that a package ships."""
 
 
-def _marks(prefix: str, package: str) -> tuple[Path, Path]:
-    """Return the paths of which one exists if a prefix has a package: a file of the index, and a folder."""
-    return Path(prefix, _INDEX, package), Path(prefix, "share", package, _KEYMINT)
-
-
-def _has(prefix: str, package: str) -> bool:
-    """Tell whether a prefix has a package.
-
-    Raises:
-        OSError: it cannot be told, which must not mean that a later prefix is taken.
-    """
-    marker, folder = _marks(prefix, package)
-    return _is(stat.S_ISREG, marker) or _is(stat.S_ISDIR, folder)
+def _marks(prefix: str, package: str) -> Iterator[tuple[Callable[[int], bool], Path]]:
+    """Yield the kinds and paths of which one exists if a prefix has a package: a file of the index, and a folder."""
+    yield stat.S_ISREG, Path(prefix, _INDEX, package)
+    yield stat.S_ISDIR, Path(prefix, "share", package, _KEYMINT)
 
 
 def _is(kind: Callable[[int], bool], path: Path) -> bool:
@@ -211,7 +201,7 @@ def _is(kind: Callable[[int], bool], path: Path) -> bool:
 def _found_in(prefix: str, package: str) -> bool:
     """Tell whether a prefix has a package, as far as that can be told."""
     try:
-        return _has(prefix, package)
+        return any(_is(kind, mark) for kind, mark in _marks(prefix, package))
     except OSError:
         return True
 
