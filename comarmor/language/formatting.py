@@ -14,11 +14,11 @@ from lxml import etree
 
 from comarmor.errors import ComArmorError, Origin
 from comarmor.language.attachments import strip
+from comarmor.language.layout import TEXT, laid_out, markup, nodes
 from comarmor.language.policy import Policy
 from comarmor.language.syntax import Profile, ProfileRule
 from comarmor.rules import PERMISSIONS
 from comarmor.xml import schema
-from comarmor.xml.layout import DocumentLayout, laid_out, markup, nodes
 from comarmor.xml.reader import parse
 from comarmor.xml.sandboxed_paths import file_errors, path_text
 
@@ -74,12 +74,6 @@ def _rule(rule: ProfileRule) -> etree._Element:
     return element
 
 
-LAYOUT = DocumentLayout(
-    text=frozenset(("attachment", "value", "partition")),
-    inline=frozenset(("permissions",)),
-    order=("name", "qualifier", "modifier", "href", "parse", "subject", "permission", "object", "partition"),
-    trimmed=strip,
-)
 _DECLARATION = '<?xml version="1.0" encoding="UTF-8"?>\n'
 _SCHEMAS = dict.fromkeys(("profiles", "profile", *PERMISSIONS), "comarmor") | {"tests": "tests"}
 """The schema of a file by the name of its root element."""
@@ -103,11 +97,11 @@ def canonical_form(content: bytes, name: str) -> bytes | None:
     if not _is_of_this_language(root):
         return None
     schema.validate(root, "comarmor", _SCHEMAS[str(root.tag)], name)
-    document = nodes(content, LAYOUT)
-    text = _DECLARATION + laid_out(document, LAYOUT)
+    document = nodes(content)
+    text = _DECLARATION + laid_out(document)
     first_line = content.partition(b"\n")[0].rstrip(b"\0")  # UTF-16 has a zero byte between the two
     result = (text.replace("\n", "\r\n") if first_line.endswith(b"\r") else text).encode()
-    again = nodes(result, LAYOUT)
+    again = nodes(result)
     comments, comments_again = ([each.source.split() for each in markup(which)] for which in (document, again))
     if _meaning(root) != _meaning(parse(result, name)) or comments != comments_again:
         raise ComArmorError(
@@ -152,5 +146,5 @@ def written_files(folder: Path) -> tuple[Path, ...]:
 
 def _meaning(element: etree._Element) -> tuple[Any, ...]:
     """Return what a reader of the language sees of an element."""
-    text = strip(element.text or "") if element.tag in LAYOUT.text else ""
+    text = strip(element.text or "") if element.tag in TEXT else ""
     return element.tag, dict(element.attrib), text, [_meaning(child) for child in element]

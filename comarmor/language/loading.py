@@ -92,7 +92,7 @@ def load_included(href: str, name: str, library: Path, library_shown: Path | Non
     Raises:
         ComArmorError: the include or the file has defects.
     """
-    from comarmor.xml.layout import attribute_value  # noqa: PLC0415 - few policies need it
+    from comarmor.language.layout import attribute_value  # noqa: PLC0415 - few policies need it
 
     document = (
         f'<profiles xmlns:xi="{XINCLUDE}"><profile name="p"><attachment>*</attachment>'

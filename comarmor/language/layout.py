@@ -1,44 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lay out an XML document: indentation, quotes, line breaks and the order of attributes, and nothing else.
+"""Lay out a file of the language: indentation, quotes, line breaks and the order of attributes, and nothing else.
 
 Comments and processing instructions (XML 1.0, 2.5 and 2.6) are kept in their places, and so are prefixes of namespaces.
-White space between elements means nothing in the formats that are laid out here; their schemas forbid text there.
+White space between elements means nothing; the schemas forbid text there.
 """
 
 from __future__ import annotations
 
 import unicodedata
 from codecs import BOM_UTF8, BOM_UTF16_BE, BOM_UTF16_LE
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import field
 from xml.parsers import expat  # nosec - only documents that comarmor.xml.reader accepts, which refuses every DOCTYPE
 
+from comarmor.language.attachments import strip
 from comarmor.values import dataclass
 
+TEXT = frozenset(("attachment", "value", "partition"))
+"""The elements that contain text; all others contain elements only."""
+_ON_ONE_LINE = "permissions"
+"""The elements that are written on one line, with the elements in them."""
+_ORDER = ("name", "qualifier", "modifier", "href", "parse", "subject", "permission", "object", "partition")
+"""Attributes in their order; others follow by the alphabet; namespaces come first."""
+_WIDTH = 120
+"""Columns; each attribute of a longer start tag is written on a line of its own."""
 _INDENT = 2
 _REFERENCES = {"&": "&amp;", "<": "&lt;", ">": "&gt;"}
 _BYTE_ORDER_MARKS = (BOM_UTF8, BOM_UTF16_LE, BOM_UTF16_BE)
 _UNSEEN = frozenset(("Cc", "Cf", "Zl", "Zp", "Zs"))
 """General categories of characters that a reader of the document does not see, or cannot tell from a space."""
-
-
-@dataclass(frozen=True, slots=True)
-class DocumentLayout:
-    """The layout of a format.
-
-    Attributes:
-        text: names of the elements that contain text; all others contain elements only.
-        inline: names of the elements that are written on one line, with the elements in them.
-        order: names of attributes in their order; others follow by the alphabet; namespaces come first.
-        trimmed: returns the text of an element without the white space around it, as readers of the format ignore it.
-        width: columns; each attribute of a longer start tag is written on a line of its own.
-    """
-
-    text: frozenset[str]
-    inline: frozenset[str]
-    order: Sequence[str]
-    trimmed: Callable[[str], str]
-    width: int = 120
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +54,7 @@ class Element:
         name: with its prefix.
         attributes: names with their prefixes, and values; declarations of namespaces as well.
         gap: line breaks between what precedes it and itself.
-        children: what it contains; text only if the layout says so.
+        children: what it contains; text only in those that :data:`TEXT` names.
         end_gap: line breaks between the last of its children and its end tag.
     """
 
@@ -75,14 +65,13 @@ class Element:
     end_gap: int = 0
 
 
-def nodes(content: bytes, layout: DocumentLayout) -> Element:
+def nodes(content: bytes) -> Element:
     """Return what a document contains, in an element without a name.
 
     Args:
         content: a document that :func:`comarmor.xml.reader.parse` accepts.
-        layout: its layout.
     """
-    builder = _Builder(layout, has_mark=content.startswith(_BYTE_ORDER_MARKS))
+    builder = _Builder(has_mark=content.startswith(_BYTE_ORDER_MARKS))
     builder.parser.Parse(content, True)
     return builder.open[0]
 
@@ -96,29 +85,26 @@ def markup(element: Element) -> Iterator[Markup]:
             yield from markup(child)
 
 
-def laid_out(document: Element, layout: DocumentLayout) -> str:
+def laid_out(document: Element) -> str:
     """Return a document in its layout, without an XML declaration; each line ends with a line feed.
 
     Args:
         document: from :func:`nodes`.
-        layout: its layout.
     """
-    printer = _Printer(layout)
+    lines: list[str] = []
     for child in document.children:
-        printer.child(child, 0, is_first=not printer.lines)
-    return "\n".join([*printer.lines, ""])
+        _write(child, 0, lines, is_first=not lines)
+    return "\n".join([*lines, ""])
 
 
 class _Builder:
     """Builds the nodes of a document.
 
     Args:
-        layout: its layout.
         has_mark: it begins with a byte order mark.
     """
 
-    def __init__(self, layout: DocumentLayout, *, has_mark: bool) -> None:
-        self.layout = layout
+    def __init__(self, *, has_mark: bool) -> None:
         self.has_mark = has_mark
         self.open = [Element("", {}, 0)]
         self.between: list[str] = []
@@ -140,10 +126,10 @@ class _Builder:
             self.between.append(text.replace("\r\n", "\n").replace("\r", "\n"))
 
     def gap(self) -> int:
-        """Return the line breaks since the last node; text is a node where the layout has text."""
+        """Return the line breaks since the last node; text is a node in an element that contains text."""
         text = "".join(self.between)
         self.between.clear()
-        if self.open[-1].name not in self.layout.text:
+        if self.open[-1].name not in TEXT:
             return text.count("\n")
         if text:
             self.open[-1].children.append(text)
@@ -163,95 +149,88 @@ class _Builder:
         self.open[-1].children.append(Markup(source, self.gap(), self.parser.CurrentColumnNumber - is_after_mark))
 
 
-class _Printer:
-    """Writes nodes as lines.
+def _write(child: Element | Markup | str, indent: int, lines: list[str], *, is_first: bool) -> None:
+    """Write a node on a line of its own; a comment stays on the line of what precedes it.
 
     Args:
-        layout: their layout.
+        child: the node.
+        indent: its column.
+        lines: the lines before it, which get those of the node.
+        is_first: a blank line before it is dropped.
     """
+    if isinstance(child, str):
+        return
+    if isinstance(child, Markup) and child.gap == 0 and lines:
+        before = lines.pop()
+        lines.append(f"{before} {_moved(child, len(before) - before.rfind(chr(10)))}")
+        return
+    if child.gap > 1 and not is_first:
+        lines.append("")
+    if isinstance(child, Markup):
+        lines.append(" " * indent + _moved(child, indent))
+    else:
+        _write_element(child, indent, lines)
 
-    def __init__(self, layout: DocumentLayout) -> None:
-        self.layout = layout
-        self.lines: list[str] = []
 
-    def child(self, child: Element | Markup | str, indent: int, *, is_first: bool) -> None:
-        """Write a node on a line of its own; a comment stays on the line of what precedes it.
+def _write_element(element: Element, indent: int, lines: list[str]) -> None:
+    start, end = _start_tag(element, indent), f"</{element.name}>"
+    margin = " " * indent
+    if (content := _one_line(element)) is not None:
+        lines.append(f"{margin}<{start}>{content}{end}" if content else f"{margin}<{start}/>")
+        return
+    lines.append(f"{margin}<{start}>")
+    is_root = not indent
+    for at, child in enumerate(element.children):
+        _write(child, indent + _INDENT, lines, is_first=not at and not is_root)
+    if is_root and element.end_gap > 1:
+        lines.append("")
+    lines.append(f"{margin}{end}")
 
-        Args:
-            child: the node.
-            indent: its column.
-            is_first: a blank line before it is dropped.
-        """
+
+def _one_line(element: Element) -> str | None:
+    """Return the content of an element that is written on one line; None for any other."""
+    if element.name in TEXT:
+        return _text(element)
+    if not element.children:
+        return ""
+    if element.name != _ON_ONE_LINE or any(markup(element)):
+        return None
+    return "".join(
+        f"<{_start_tag(child, 0)}>{inner}</{child.name}>" if inner else f"<{_start_tag(child, 0)}/>"
+        for child in element.children
+        if isinstance(child, Element)
+        for inner in [_one_line(child)]
+    )
+
+
+def _text(element: Element) -> str:
+    """Return the content of an element with text; comments in it stay where they are."""
+    whole = "".join(child for child in element.children if isinstance(child, str))
+    trimmed = strip(whole)
+    begin = whole.index(trimmed)
+    at, parts = 0, []
+    for child in element.children:
         if isinstance(child, str):
-            return
-        if isinstance(child, Markup) and child.gap == 0 and self.lines:
-            before = self.lines.pop()
-            self.lines.append(f"{before} {_moved(child, len(before) - before.rfind(chr(10)))}")
-            return
-        if child.gap > 1 and not is_first:
-            self.lines.append("")
-        if isinstance(child, Markup):
-            self.lines.append(" " * indent + _moved(child, indent))
-        else:
-            self.element(child, indent)
+            parts.append(_escaped(child[max(0, begin - at) : max(0, begin + len(trimmed) - at)]))
+            at += len(child)
+        elif isinstance(child, Markup):
+            parts.append(child.source)
+    return "".join(parts)
 
-    def element(self, element: Element, indent: int) -> None:
-        start, end = self.start_tag(element, indent), f"</{element.name}>"
-        margin = " " * indent
-        if (content := self.one_line(element)) is not None:
-            self.lines.append(f"{margin}<{start}>{content}{end}" if content else f"{margin}<{start}/>")
-            return
-        self.lines.append(f"{margin}<{start}>")
-        is_root = not indent
-        for at, child in enumerate(element.children):
-            self.child(child, indent + _INDENT, is_first=not at and not is_root)
-        if is_root and element.end_gap > 1:
-            self.lines.append("")
-        self.lines.append(f"{margin}{end}")
 
-    def one_line(self, element: Element) -> str | None:
-        """Return the content of an element that is written on one line; None for any other."""
-        if element.name in self.layout.text:
-            return self.text(element)
-        if not element.children:
-            return ""
-        if element.name not in self.layout.inline or any(markup(element)):
-            return None
-        return "".join(
-            f"<{self.start_tag(child, 0)}>{inner}</{child.name}>" if inner else f"<{self.start_tag(child, 0)}/>"
-            for child in element.children
-            if isinstance(child, Element)
-            for inner in [self.one_line(child)]
-        )
+def _start_tag(element: Element, indent: int) -> str:
+    """Return a start tag without its delimiters."""
+    attributes = [f'{name}="{attribute_value(value)}"' for name, value in sorted(element.attributes.items(), key=_rank)]
+    tag = " ".join((element.name, *attributes))
+    if indent + len(f"<{tag}/>") <= _WIDTH:
+        return tag
+    return f"{element.name} " + f"\n{' ' * (indent + len(element.name) + 2)}".join(attributes)
 
-    def text(self, element: Element) -> str:
-        """Return the content of an element with text; comments in it stay where they are."""
-        whole = "".join(child for child in element.children if isinstance(child, str))
-        trimmed = self.layout.trimmed(whole)
-        begin = whole.index(trimmed)
-        at, parts = 0, []
-        for child in element.children:
-            if isinstance(child, str):
-                parts.append(_escaped(child[max(0, begin - at) : max(0, begin + len(trimmed) - at)]))
-                at += len(child)
-            elif isinstance(child, Markup):
-                parts.append(child.source)
-        return "".join(parts)
 
-    def start_tag(self, element: Element, indent: int) -> str:
-        """Return a start tag without its delimiters."""
-        attributes = [
-            f'{name}="{attribute_value(value)}"' for name, value in sorted(element.attributes.items(), key=self.rank)
-        ]
-        tag = " ".join((element.name, *attributes))
-        if indent + len(f"<{tag}/>") <= self.layout.width:
-            return tag
-        return f"{element.name} " + f"\n{' ' * (indent + len(element.name) + 2)}".join(attributes)
-
-    def rank(self, attribute: tuple[str, str]) -> tuple[bool, int, str]:
-        name, order = attribute[0], self.layout.order
-        is_namespace = name == "xmlns" or name.startswith("xmlns:")
-        return not is_namespace, order.index(name) if name in order else len(order), name
+def _rank(attribute: tuple[str, str]) -> tuple[bool, int, str]:
+    name = attribute[0]
+    is_namespace = name == "xmlns" or name.startswith("xmlns:")
+    return not is_namespace, _ORDER.index(name) if name in _ORDER else len(_ORDER), name
 
 
 def _moved(node: Markup, column: int) -> str:
