@@ -299,8 +299,8 @@ def _manifest(values: Mapping[str, Any]) -> Manifest:
         issue=_number(values["issue"], 1),
         revocations=_number(values["revocations"], 0),
         nonce=_matching(_NONCE, values["nonce"]),
-        not_before=_moment(values["not_before"]),
-        not_after=_moment(values["not_after"]),
+        not_before=datetime.fromisoformat(values["not_before"]).astimezone(UTC),
+        not_after=datetime.fromisoformat(values["not_after"]).astimezone(UTC),
         files=files,
     )
 
@@ -315,10 +315,6 @@ def _number(value: object, least: int) -> int:
     if type(value) is not int or not least <= value < MAX_NUMBER:
         raise ValueError
     return value
-
-
-def _moment(text: str) -> datetime:
-    return datetime.fromisoformat(text).astimezone(UTC)
 
 
 # -- the archive -------------------------------------------------------------------------------------------------------

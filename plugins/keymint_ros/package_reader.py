@@ -89,7 +89,7 @@ class _PackageLoader:
                 help=create or did_you_mean(path, self.files, f"create it, or leave its path out of {MARKER}"),
                 code="file-missing",
             )
-        return self.file(path), content
+        return f"{self.folder}/{path}", content
 
     def defaults(self, part: PackagePart) -> tuple[str, bytes]:
         """Return the path, for messages, and the content of a part's defaults in the package or the profile."""
@@ -102,16 +102,12 @@ class _PackageLoader:
         """Return the same; without content if there are no such defaults."""
         path = normal_path(part.defaults, self.place(part))
         if path in self.files:
-            return self.file(path), self.files[path]
+            return f"{self.folder}/{path}", self.files[path]
         return base_of(self.profile) + path, self.profile.files.get(path)
-
-    def file(self, path: str) -> str:
-        """Return the path of a file of the package as the user would type it."""
-        return f"{self.folder}/{path}"
 
     def place(self, part: PackagePart) -> Origin:
         """Return the place of a part in the manifest."""
-        return Origin(self.file(MARKER), part.line)
+        return Origin(f"{self.folder}/{MARKER}", part.line)
 
     def identity(self) -> CertificateSpec:
         """Return the certificate of the subject."""

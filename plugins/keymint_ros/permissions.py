@@ -219,11 +219,7 @@ def parse_origin(text: str) -> Origin | None:
 @lru_cache(maxsize=4096)
 def origin_in_folder(base: str, origin: Origin) -> Origin:
     """Return an origin with its relative paths in a folder."""
-    first, *chain = (
-        Origin(each.file if each.file.startswith(("/", PACKAGE)) else posixpath.normpath(base + each.file), each.line)
-        for each in (origin, *origin.chain)
-    )
-    return replace(first, chain=tuple(chain))
+    return origin.with_files(lambda file: file if file.startswith(("/", PACKAGE)) else posixpath.normpath(base + file))
 
 
 # -- writing --------------------------------------------------------------------------------------------------------

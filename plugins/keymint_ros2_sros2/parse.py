@@ -79,26 +79,17 @@ def comments_of(content: bytes, root: etree._Element) -> Comments:
     """
     before: dict[etree._Element, tuple[str, ...]] = {}
     closing: dict[etree._Element, tuple[str, ...]] = {}
-    around: list[etree._Element] = []
     pending: list[str] = []
-    elements = root.iter()
+    events = etree.iterwalk(root, events=("start", "end"))  # the same as those of the parser
 
-    def start(_tag: str, _attributes: Mapping[str, str]) -> None:
-        around.append(next(elements))
-        assign(before)
-
-    def end(_tag: str) -> None:
-        assign(closing)
-        around.pop()
-
-    def assign(to: dict[etree._Element, tuple[str, ...]]) -> None:
+    def assign(*_of_tag: object) -> None:
+        event, element = next(events)
         if pending:
-            to[around[-1]] = tuple(pending)
+            (before if event == "start" else closing)[element] = tuple(pending)
             pending.clear()
 
     parser = expat.ParserCreate()
-    parser.StartElementHandler = start
-    parser.EndElementHandler = end
+    parser.StartElementHandler = parser.EndElementHandler = assign
     parser.CommentHandler = pending.append
     parser.Parse(content, True)
     closing[root] = (*closing.get(root, ()), *pending)

@@ -86,16 +86,14 @@ def row_origin(file: str, number: int, source: str) -> Origin:
     """
     if not source:
         return Origin(file, number)
+    shown, message, help_ = f"{source} [{file.rpartition('/')[2]}]", "", ""
     if len(source) > _LONGEST_SOURCE:
-        raise ComArmorError(
-            f"the source is longer than {_LONGEST_SOURCE} characters", where=Origin(file, number), code="table-value"
-        )
-    shown = f"{source} [{file.rpartition('/')[2]}]"
-    if library_name(shown) is not None:
-        raise ComArmorError(
-            "the source names a file of the policy library, which this row is not from", where=Origin(file, number),
-            help="name what the row was made from, or leave it empty", code="table-value",
-        )  # fmt: skip
+        message = f"the source is longer than {_LONGEST_SOURCE} characters"
+    elif library_name(shown) is not None:
+        message = "the source names a file of the policy library, which this row is not from"
+        help_ = "name what the row was made from, or leave it empty"
+    if message:
+        raise ComArmorError(message, where=Origin(file, number), help=help_, code="table-value")
     return Origin(shown, number)
 
 
