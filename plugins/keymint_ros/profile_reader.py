@@ -7,6 +7,7 @@ import os
 import posixpath
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from lxml import etree
@@ -85,11 +86,11 @@ def _exports(root: etree._Element) -> Mapping[str, str]:
     return exports
 
 
+_read_element = partial(certificate.read, known=certificate.AUTHORITY_PLACEHOLDERS)
+
+
 def _authorities(root: etree._Element) -> tuple[tuple[str, IssuedElement], ...]:
-    return tuple(
-        (element.get("name", "").strip(), certificate.read(element, certificate.AUTHORITY_PLACEHOLDERS))
-        for element in root.iterfind("authorities/authority")
-    )
+    return tuple((each.get("name", "").strip(), _read_element(each)) for each in root.iterfind("authorities/authority"))
 
 
 def _policies(root: etree._Element) -> tuple[tuple[str, _PathElement], ...]:
@@ -119,9 +120,7 @@ def _policy_path(policy: etree._Element) -> _PathElement:
 
 _read_manifest = Reader("keymint_ros", "keymint_profile", _manifest)
 _read_authorities = Reader("keymint_ros", "authorities", _authorities)
-_read_authority_defaults = Reader(
-    "keymint_ros", "defaults_authorities", lambda root: certificate.read(root, certificate.AUTHORITY_PLACEHOLDERS)
-)
+_read_authority_defaults = Reader("keymint_ros", "defaults_authorities", _read_element)
 _read_policies = Reader("keymint_ros", "policies", _policies)
 
 

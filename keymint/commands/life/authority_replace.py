@@ -98,9 +98,8 @@ def _told(session: Session, name: str, before: Phase | None, reached: Phase | No
     """Return what is to be done on the robots before the next phase."""
     following = Phase.REISSUE if reached is Phase.DISTRIBUTE else Phase.END
     go_on = f"then 'keymint authority replace {name} --phase {following}'"
-    install_space, second = (
-        session.workspace.shown(each) for each in (session.workspace.install, session.workspace.next_install)
-    )
+    workspace = session.workspace
+    install_space, second = workspace.shown(workspace.install), workspace.shown(workspace.next_install)
     if reached is Phase.STAGE:
         text = f"{name!r}: a second keystore by the next authority is ready: copy {second}/ to all robots"
         help_ = f"set ROS_SECURITY_KEYSTORE to it, and restart all of them together; {go_on}"
