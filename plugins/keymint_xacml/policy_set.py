@@ -17,7 +17,7 @@ Python) read alike. Identifiers are of XACML 3.0 (section 10.2 and appendices A 
 from __future__ import annotations
 
 import posixpath
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from urllib.parse import quote as percent_encoded
 
 from lxml import etree
@@ -137,23 +137,11 @@ _DESCRIPTION = (
 _EFFECTS = {Effect.ALLOW: "Permit", Effect.DENY: "Deny"}
 
 
-@dataclass(frozen=True, slots=True)
-class _XacmlRule:
-    """A rule of XACML, which has one kind of objects.
+_XacmlRule = tuple[Rule, Mapping[Attribute, Collection[TextMatch]]]
+"""The rule that a rule of XACML comes from, and by attribute what any of matches; it has one kind, without parts.
 
-    Attributes:
-        rule: the rule that it comes from.
-        kind: a kind without parts.
-        permissions: permissions of that kind.
-        names: any of them matches.
-        partitions: any of them matches; every partition does if there is none.
-    """
-
-    rule: Rule
-    kind: str
-    permissions: tuple[str, ...]
-    names: tuple[TextMatch, ...]
-    partitions: tuple[TextMatch, ...]
+Every partition matches if there is none.
+"""
 
 
 def written_policy(subjects: Sequence[SubjectRules], *, lossy: bool = False) -> ExportedPolicy:
@@ -184,7 +172,8 @@ def _rules(subject: SubjectRules, found: list[Diagnostic], *, lossy: bool) -> It
         if not partitions and rule.effect is Effect.ALLOW:
             partitions = (TextMatch(""),)
         for (kind, permissions), names in by_part.items():
-            yield _XacmlRule(rule, kind, permissions, tuple(names), partitions)
+            target = {KIND: [TextMatch(kind)], ACTION: [*map(TextMatch, permissions)], NAME: [*names]}
+            yield rule, {**target, PARTITION: partitions} if partitions else target
 
 
 def _parts(rule: Rule) -> Iterator[tuple[str, tuple[str, ...], str]]:
@@ -226,8 +215,8 @@ def _document(subjects: Iterable[tuple[str, Sequence[_XacmlRule]]]) -> bytes:
             continue  # the outer set denies everything
         policy = _policy(inner, f"subject:{percent_encoded(subject)}", subject)
         _any_of(_child(policy, "Target"), SUBJECT, [TextMatch(subject)])
-        for number, rule in enumerate(rules, 1):
-            _rule(policy, number, rule)
+        for number, said in enumerate(rules, 1):
+            _rule(policy, number, *said)
     etree.indent(outer)
     text = etree.tostring(outer, encoding="unicode")
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'.encode()
@@ -250,19 +239,16 @@ def _policy(parent: etree._Element, name: str, description: str) -> etree._Eleme
     return policy
 
 
-def _rule(policy: etree._Element, number: int, said: _XacmlRule) -> None:
+def _rule(policy: etree._Element, number: int, said: Rule, matches: Mapping[Attribute, Collection[TextMatch]]) -> None:
     """Add a rule, with its file and line as its description, without the folder, which differs between machines."""
-    effect, place = _EFFECTS[said.rule.effect], said.rule.origin
+    effect, place = _EFFECTS[said.effect], said.origin
     origin = f"{one_line(posixpath.basename(place.file))}:{place.line}"
     rule = _child(policy, "Rule", RuleId=str(number), Effect=effect)
     _child(rule, "Description", origin)
     target = _child(rule, "Target")
-    _any_of(target, KIND, [TextMatch(said.kind)])
-    _any_of(target, ACTION, map(TextMatch, said.permissions))
-    _any_of(target, NAME, said.names)
-    if said.partitions:
-        _any_of(target, PARTITION, said.partitions)
-    if said.rule.audit:
+    for attribute, any_of in matches.items():
+        _any_of(target, attribute, any_of)
+    if said.audit:
         advice = _child(_child(rule, "AdviceExpressions"), "AdviceExpression", AdviceId=AUDIT, AppliesTo=effect)
         _child(
             _child(advice, "AttributeAssignmentExpression", AttributeId=ORIGIN),
