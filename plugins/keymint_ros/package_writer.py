@@ -24,7 +24,7 @@ from comarmor.text import quote
 from comarmor.values import dataclass
 from comarmor.xml import reader
 from comarmor.xml.reader import line
-from keymint.api import AdoptedSources, DomainRange, KeySpec, Role, Validity, WorkspaceProfile
+from keymint.api import AdoptedSources, Role, Validity, WorkspaceProfile
 from keymint.api.source_documents import Reader
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
@@ -259,39 +259,31 @@ _SPECIAL = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;"})
 
 def adopted_sources(profile: WorkspaceProfile, sources: AdoptedSources) -> Mapping[str, bytes]:
     """Return the files of a package: see :meth:`keymint.api.PackageType.adopted_sources`."""
-    domains = [_domains(sources.domains)] if sources.domains else []
+    ids = [
+        f"<id>{each.first}</id>"
+        if each.first == each.last
+        else f"<id_range><min>{each.first}</min><max>{each.last}</max></id_range>"
+        for each in sources.domains
+    ]
+    domains = [f"<domains>{''.join(ids)}</domains>"] if ids else []
+    key = sources.key
+    kind = f"<rsa><key_size>{key.size}</key_size></rsa>"
+    if key.algorithm == "ec":
+        kind = f"<ec><curve>{key.curve}</curve></ec>"
+    key_lines = (
+        f"<asymmetric_type>{kind}</asymmetric_type>",
+        "<encryption_algorithm>NoEncryption</encryption_algorithm>",
+        "<password_env></password_env>",
+    )
     name = [f"<subject_name>{sources.subject_name.translate(_SPECIAL)}</subject_name>"] if sources.subject_name else []
     cert = (*name, validity.element(sources.validity))
     overrides = (*domains, *name, validity.element(sources.grant_validity))
     return {
         **bootstrap.package(profile.build_types),
-        "identities.xml": bootstrap.filled_file("package/identities.adopted.xml", cert=cert, key=_key(sources.key)),
+        "identities.xml": bootstrap.filled_file("package/identities.adopted.xml", cert=cert, key=key_lines),
         "permissions.xml": permissions.render(sources.rules, base_of(profile), overrides=overrides),
         **{f"{ADOPTED}{name}": content for name, content in sources.documents.items()},
     }
-
-
-def _domains(ranges: Sequence[DomainRange]) -> str:
-    ids = [
-        f"<id>{each.first}</id>"
-        if each.first == each.last
-        else f"<id_range><min>{each.first}</min><max>{each.last}</max></id_range>"
-        for each in ranges
-    ]
-    return f"<domains>{''.join(ids)}</domains>"
-
-
-def _key(key: KeySpec) -> tuple[str, ...]:
-    kind = (
-        f"<ec><curve>{key.curve}</curve></ec>"
-        if key.algorithm == "ec"
-        else f"<rsa><key_size>{key.size}</key_size></rsa>"
-    )
-    return (
-        f"<asymmetric_type>{kind}</asymmetric_type>",
-        "<encryption_algorithm>NoEncryption</encryption_algorithm>",
-        "<password_env></password_env>",
-    )
 
 
 _NAME = lazy_regex(r"<subject_name>[^<]*</subject_name>")

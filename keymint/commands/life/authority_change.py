@@ -86,9 +86,9 @@ def _lists_to_refresh(session: Session, changed: Session, name: str) -> tuple[st
 
 def _told(plan: Plan, session: Session, name: str) -> Plan:
     """Return a plan that says what its change of an authority costs a running fleet."""
-    others = tuple(each for each in plan.diagnostics if each.code != REISSUED)
+    plan = replace(plan, diagnostics=tuple(each for each in plan.diagnostics if each.code != REISSUED))
     if not plan.writes() or not enclave_names(session):
-        return replace(plan, diagnostics=others)
+        return plan
     titles = refusing_implementations(session, name, (), "reissues")
     where = session.workspace.origin(session.workspace.authority_certificate(name))
     if titles:
@@ -97,8 +97,7 @@ def _told(plan: Plan, session: Session, name: str) -> Plan:
     else:
         message = f"the certificate of the authority {name!r} is reissued: robots that have it and others work together"
         help_ = "copy the keystore to each robot before the old certificate ends; nodes read it when they start"
-    told = Diagnostic.warning(REISSUED, message, where, help_)
-    return replace(plan, diagnostics=(*others, told))
+    return plan.noting(Diagnostic.warning(REISSUED, message, where, help_))
 
 
 @verb(dry_run=True, of="authority")

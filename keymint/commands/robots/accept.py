@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from pathlib import Path
 
 from comarmor.errors import Origin
@@ -57,7 +56,16 @@ def accept(
     keystore = keystore_of(run, folder)
     owner = Owner(frozenset(map(fingerprint, fingerprints)), new=new)
     read = [(file, bundles.read(read_input(run, file, MAX_BYTES), Origin(str(file)))) for file in dict.fromkeys(files)]
-    _require_one_each(read)
+    first: dict[str, Path] = {}
+    for file, each in read:
+        other = first.setdefault(each.manifest.enclave, file)
+        if other != file:
+            raise KeymintError(
+                f"is for {each.manifest.enclave}, as {other} is",
+                where=Origin(str(file)),
+                help="take the one with the higher issue number",
+                code="bundle-twice",
+            )
     taken = [_taken(run, keystore, file, each, owner) for file, each in read]  # what is refused creates no keystore
     if not run.dry_run:
         with opened_store(run, keystore) as store:
@@ -90,20 +98,6 @@ def fingerprint(text: str) -> str:
     if not _FINGERPRINT.fullmatch(plain):
         raise usage_error(f"{text!r} is not a fingerprint of 64 hexadecimal digits", "copy all of it")
     return plain
-
-
-def _require_one_each(read: Sequence[tuple[Path, Bundle]]) -> None:
-    """Require that no two bundles are for one enclave."""
-    first: dict[str, Path] = {}
-    for file, each in read:
-        other = first.setdefault(each.manifest.enclave, file)
-        if other != file:
-            raise KeymintError(
-                f"is for {each.manifest.enclave}, as {other} is",
-                where=Origin(str(file)),
-                help="take the one with the higher issue number",
-                code="bundle-twice",
-            )
 
 
 def _taken(run: Run, there: Keystore, file: Path, bundle: Bundle, owner: Owner) -> _Taken:

@@ -56,7 +56,12 @@ def sign(
     Whoever carried the request may have exchanged the key in it. So its fingerprint, as it was read at the robot, must
     be given, unless the key that the package has signed the request.
     """
-    fingerprints = _fingerprints(typed)
+    fingerprints: dict[str, str] = {}
+    for each in typed:
+        name, equals, digits = each.rpartition("=")
+        if not equals:
+            raise usage_error(f"--fingerprint {each!r} does not say which enclave it is of", "write NAME=SHA256")
+        fingerprints[package_name(name)] = fingerprint(digits)
     given = [
         (requests.read(read_input(run, file, requests.MAX_BYTES), Origin(str(file))), Origin(str(file)))
         for file in files
@@ -73,21 +78,6 @@ def sign(
 
     report, made = run.made(make_plan)
     return replace(report, result={"bundles": write_bundles(run, output, made)})
-
-
-def _fingerprints(typed: tuple[str, ...]) -> Mapping[str, str]:
-    """Return the fingerprints that the user typed, by package.
-
-    Raises:
-        KeymintError: one has no name, or is none; a usage error.
-    """
-    result: dict[str, str] = {}
-    for each in typed:
-        name, equals, digits = each.rpartition("=")
-        if not equals:
-            raise usage_error(f"--fingerprint {each!r} does not say which enclave it is of", "write NAME=SHA256")
-        result[package_name(name)] = fingerprint(digits)
-    return result
 
 
 # -- decisions ---------------------------------------------------------------------------------------------------
