@@ -11,7 +11,7 @@ from comarmor.errors import Origin
 from comarmor.values import dataclass
 from comarmor.xml.reader import line
 from keymint.api import Role
-from keymint.api.source_documents import Reader, file_in, normal_path, place, require_new, text
+from keymint.api.source_documents import Reader, file_in, normal_path, require_new, text
 from keymint.errors import KeymintError
 
 MARKER = "keymint_package.xml"
@@ -120,16 +120,12 @@ def _parts(root: etree._Element) -> Mapping[str, PackagePart]:
 
 def _check_single(element: etree._Element, tag: str) -> None:
     """Check that an element occurs once; documents of 2018 could have several, and each package several documents."""
-    others = element.findall(tag)[1:]
-    if others:
-        raise KeymintError(
-            f"there are two elements <{tag}> in <{element.tag}>",
-            where=place(others[0]),
-            help="a package has one authority that signs them; remove one of the elements"
-            if tag == "issuer_name"
-            else f"a package has one document of each part: move the content of the others into it, and remove <{tag}>",
-            code="part-doubled",
-        )
+    help_ = f"a package has one document of each part: move the content of the others into it, and remove <{tag}>"
+    if tag == "issuer_name":
+        help_ = "a package has one authority that signs them; remove one of the elements"
+    message = f"there are two elements <{tag}> in <{element.tag}>"
+    for other in element.findall(tag)[1:]:
+        require_new(tag, (tag,), other, message, help_, "part-doubled")
 
 
 def _part(element: etree._Element, usual: str, path_tag: str, defaults_tag: str) -> PackagePart:
