@@ -20,7 +20,6 @@ from comarmor.rules import KIND_OF
 from comarmor.text import did_you_mean, quantity
 from keymint.api import Hint, graph_json
 from keymint.api.graph import Edge, Object
-from keymint.api.graph_json import legal_subject, legal_text
 from keymint.errors import KeymintError
 
 COLUMNS = ("subject", "permission", "object", "count")
@@ -81,14 +80,14 @@ def _counted(columns: Sequence[str], fields: Sequence[str], name: str, line: int
         raise _error(name, line, f"has {quantity(len(fields), 'field')} instead of {len(columns)}")
     row = dict(zip(columns, fields, strict=True))
     subject, permission, text = (row[column].strip() for column in ("subject", "permission", "object"))
-    if not legal_subject(subject):
+    if not graph_json.legal_subject(subject):
         raise _error(name, line, f"{subject!r} is not a subject name", "write the full name, e.g. '/robot/arm'")
     kind = KIND_OF.get(permission)
     if kind is None:
         help_ = did_you_mean(permission, KIND_OF, f"one of {', '.join(KIND_OF)}")
         raise _error(name, line, f"there is no permission {permission!r}", help_)
     partition = row.get("partition", "").strip()
-    if not text or not legal_text(text) or not legal_text(partition):
+    if not text or not graph_json.legal_text(text) or not graph_json.legal_text(partition):
         raise _error(name, line, "the object, or its partition, is empty, too long or has control characters")
     count = row["count"].strip()
     if not (count.isascii() and count.isdigit() and len(count) < len(str(MAX_COUNT))):

@@ -12,7 +12,6 @@ import inspect
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -176,7 +175,7 @@ def option(*names: str, cls: type[click.Option] = click.Option, **settings: Any)
         cls: kind of the option.
         settings: as of :class:`click.Option`.
     """
-    return partial(_option, names, cls, settings)
+    return functools.partial(_option, names, cls, settings)
 
 
 def flag(text: str, *names: str) -> Any:
@@ -196,7 +195,7 @@ def plugin(group: str, text: str, *names: str, **settings: Any) -> Any:
 
 def argument(**settings: Any) -> Any:
     """Return the default of an argument that the command line gives by its position; see :class:`click.Argument`."""
-    return partial(lambda name: click.Argument([name], **settings))
+    return functools.partial(lambda name: click.Argument([name], **settings))
 
 
 def option_group(kind: type, check: Callable[[Any], None] = lambda _: None, **options: Any) -> Any:
@@ -207,7 +206,7 @@ def option_group(kind: type, check: Callable[[Any], None] = lambda _: None, **op
         check: raises a usage error for values that exclude each other.
         options: options for further fields.
     """
-    declared = {each.name: each.default for each in fields(kind) if isinstance(each.default, partial)}
+    declared = {each.name: each.default for each in fields(kind) if isinstance(each.default, functools.partial)}
     return OptionGroup(kind, {**declared, **options}, check)
 
 
@@ -219,7 +218,7 @@ def parameters_of(function: Callable[..., Any]) -> tuple[list[click.Parameter], 
         if isinstance(each.default, OptionGroup):
             groups[each.name] = each.default
             found += (made(name) for name, made in each.default.options.items())
-        elif isinstance(each.default, partial):
+        elif isinstance(each.default, functools.partial):
             found.append(each.default(each.name))
     return found, groups
 

@@ -24,7 +24,6 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from datetime import datetime
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 from urllib.parse import urlsplit
@@ -58,16 +57,13 @@ def load(content: object, kind: Any) -> Any:
     Raises:
         KeymintError: the content is not bytes, not JSON, or not of this type.
     """
-    if not isinstance(content, bytes):
-        raise _refused(f"a {type(content).__name__} in place of bytes")
-    try:
-        return msgspec.convert(json.loads(content), kind, dec_hook=_path)
-    except (ValueError, RecursionError, msgspec.ValidationError) as error:
-        raise _refused(str(error)) from error
-
-
-def _refused(why: str) -> KeymintError:
-    return KeymintError(
+    why = f"a {type(content).__name__} in place of bytes"
+    if isinstance(content, bytes):
+        try:
+            return msgspec.convert(json.loads(content), kind, dec_hook=_path)
+        except (ValueError, RecursionError, msgspec.ValidationError) as error:
+            why = str(error)
+    raise KeymintError(
         f"a worker answered something else than it was asked: {why}",
         help="find out what runs on the cluster before you use it again",
         code="executor-answer",
@@ -162,7 +158,7 @@ def carry_out(content: bytes) -> bytes:
         return REFUSED + dump(Refusal(failed.diagnostics))
 
 
-@cache
+@functools.cache
 def _plugins(now: datetime) -> Plugins:
     # No transport that runs on a worker builds programs, so none needs a cache or variables.
     return Plugins(environment=Environment(now, Path(tempfile.gettempdir()), {}))

@@ -6,7 +6,6 @@ from __future__ import annotations
 import contextlib
 import fcntl
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import field, replace
 from datetime import datetime
 from pathlib import Path
@@ -234,7 +233,7 @@ class Run:
         with self.pool() as pool:
             compile_elsewhere(pool, session, names, options)
 
-    @contextmanager
+    @contextlib.contextmanager
     def pool(self) -> Iterator[Pool]:
         """Yield where to carry out work that can be divided.
 

@@ -30,11 +30,10 @@ from keymint.stages.work import PackagePlan, PackageStage, state_after, steps_of
 from keymint.store.changes import Action, DocumentSize, File, FolderChange, Plan, Step, by_folder
 from keymint.view.stamps import Stamp, digest
 from keymint.workspace import package_build_types
-from keymint.workspace.package_build_types import BUILD, SHARED
 from keymint.workspace.policy_loading import lazy_policy
 from keymint.workspace.session import Session
 
-STAGE = BUILD
+STAGE = package_build_types.BUILD
 
 
 class BuildStage(PackageStage):
@@ -212,7 +211,7 @@ def _plan_shared(session: Session, options: BuildOptions, *, force: bool) -> lis
                     help="use them in different workspaces",
                     code="file-conflict",
                 )
-    return [*planned, *obsolete_documents(session, STAGE, session.workspace.build / SHARED)]
+    return [*planned, *obsolete_documents(session, STAGE, session.workspace.build / package_build_types.SHARED)]
 
 
 def _key(session: Session, package: Package, *, renew: bool) -> tuple[tuple[FolderChange, ...], str]:

@@ -17,7 +17,6 @@ from keymint.errors import KeymintError
 from keymint.life import revocation_lists_in_force, terms, workspace_register
 from keymint.life.examine import Keyring, orphan_findings, replaced_rights, shared_keys
 from keymint.life.register import SignedRights
-from keymint.life.terms import iso_time
 from keymint.life.workspace_register import register_of
 from keymint.names import subject_of
 from keymint.pki import certificates, revocation_lists
@@ -35,7 +34,6 @@ from keymint.stages.documents import (
     sign_shared,
 )
 from keymint.stages.environment_scripts import plan_scripts
-from keymint.stages.identities import sign
 from keymint.stages.work import PackagePlan, PackageStage, state_after, steps_of
 from keymint.store.changes import Action, File, FolderChange, Plan, Step, by_folder
 from keymint.view.stamps import Stamp, digest, digest_files
@@ -132,7 +130,7 @@ def _still_good(session: Session, removed: Sequence[str]) -> Iterator[Diagnostic
         others = f" [{len(ends)} enclaves]" if len(ends) > 1 else ""
         yield Diagnostic.warning(
             "certificate-in-force",
-            f"the certificate of the removed enclave {subject_of(name)} stays good until {iso_time(end)}{others}",
+            f"the certificate of the removed enclave {subject_of(name)} stays good until {terms.iso_time(end)}{others}",
             None,
             f"'keymint revoke {name} --reason retired' ends it",
             subject_of(name) if len(ends) == 1 else "",
@@ -185,7 +183,7 @@ def _plan_enclave(
     fingerprint = keyring.require_own(package, public)
     if reason := register_of(session).barred(fingerprint):
         return PackagePlan(name, withdrawn=reason)
-    artifacts, issued, warnings = sign(session, package, documents, authorities, (key_pem, public), existing)
+    artifacts, issued, warnings = identities.sign(session, package, documents, authorities, (key_pem, public), existing)
     new = {file: artifact.content for file, artifact in artifacts.items()}
     outliving = replaced_rights(session, package, existing, new)
     in_force = revocation_lists_in_force.enclave_lists(session).get(package.identity.issuer)

@@ -21,7 +21,6 @@ from keymint.authority import rollover
 from keymint.authority.authorities import MintedAuthority, authority_named, plan_authorities
 from keymint.authority.authority_changes import GivenAuthority, refusing_implementations
 from keymint.authority.authority_files import FORMER, NEXT
-from keymint.authority.rollover import phase_of, plan_switch, staged_session
 from keymint.errors import KeymintError, usage_error
 from keymint.life.revocation_lists_in_force import plan_lists
 from keymint.names import subject_of
@@ -51,7 +50,7 @@ def staged_keystore(crew: Crew, session: Session, name: str, names: Sequence[str
     Raises:
         KeymintError: an enclave cannot be built, signed or proven; with all defects.
     """
-    ahead = staged_session(session, name)
+    ahead = rollover.staged_session(session, name)
     names = tuple(dict.fromkeys((*names, *with_sources(ahead))))  # what was revoked since is withdrawn from it as well
     asked = InstallRequest(prune=True)
     request = Request(names, options=asked, policy=lazy_policy(ahead), follow=False, beside=True)
@@ -74,7 +73,7 @@ def in_step(crew: Crew, session: Session, plan: Plan) -> Plan:
         session: the workspace before the plan, and its profile.
         plan: the plan; if the second keystore cannot follow, it has a warning of the code :data:`DEFERRED`.
     """
-    staged = [each.name for each in session.profile.authorities if phase_of(session, each.name) is Phase.STAGE]
+    staged = [each.name for each in session.profile.authorities if rollover.phase_of(session, each.name) is Phase.STAGE]
     for name in staged if plan.writes() else ():
         work = Work(session).then(plan)
         try:
@@ -97,7 +96,7 @@ def session_ahead(session: Session, name: str) -> tuple[Session, Mapping[str, Mi
     Raises:
         KeymintError: an authority cannot be used; as :func:`keymint.authority.authorities.plan_authorities`.
     """
-    work = Work(staged_session(session, name))
+    work = Work(rollover.staged_session(session, name))
     minted, authorities = plan_authorities(work.session)
     work = work.then(minted)
     return work.then(plan_lists(work.session, authorities)).session, authorities
@@ -121,7 +120,7 @@ def exchanged_keystore(crew: Crew, session: Session, name: str, names: Sequence[
     Raises:
         KeymintError: an enclave cannot be built, signed or proven; with all defects.
     """
-    switch = plan_switch(session, name)
+    switch = rollover.plan_switch(session, name)
     key, *profile = switch.steps
     own, beside = _lists(session, name)
     content = session.tree.read(beside)

@@ -134,10 +134,17 @@ def _observe(
         raise KeymintError(
             f"no running system can be observed: {usable.reason}", help=usable.help, code="discovery-unusable"
         )
-    chosen = _domain(run) if domain is None else domain
+    if domain is None:
+        text = run.setting.environment.get("ROS_DOMAIN_ID", "").strip() or "0"
+        if not text.isdecimal() or int(text) > graph_json.MAX_DOMAIN:
+            raise usage_error(
+                f"ROS_DOMAIN_ID is {text!r}, expected a domain id from 0 to {graph_json.MAX_DOMAIN}",
+                "set it, or use --domain",
+            )
+        domain = int(text)
     start = run.setting.monotonic()
     with ended_by_signals() as ended:
-        observed = source.observe(chosen, lambda: not ended and run.setting.monotonic() < start + seconds, names)
+        observed = source.observe(domain, lambda: not ended and run.setting.monotonic() < start + seconds, names)
     if ended:
         early = Diagnostic.warning(
             "discovery-interrupted",
@@ -146,16 +153,6 @@ def _observe(
         )
         return replace(observed, diagnostics=(*observed.diagnostics, early)), ended[0]
     return observed, None
-
-
-def _domain(run: Run) -> int:
-    text = run.setting.environment.get("ROS_DOMAIN_ID", "").strip() or "0"
-    if not text.isdecimal() or int(text) > graph_json.MAX_DOMAIN:
-        raise usage_error(
-            f"ROS_DOMAIN_ID is {text!r}, expected a domain id from 0 to {graph_json.MAX_DOMAIN}",
-            "set it, or use --domain",
-        )
-    return int(text)
 
 
 def _summary(graph: Graph) -> str:

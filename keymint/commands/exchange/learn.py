@@ -90,23 +90,13 @@ def learn(
         "file": str(output) if output and learned.document else None,
         "written": written,
         "policy": None if output else learned.document.decode(),
-        "missing": [
-            {
-                "subject": edge.subject,
-                "permission": edge.permission,
-                "object": edge.object.name,
-                "partitions": edge.object.partitions,
-                "domain": edge.domain,
-            }
-            for edge in learned.missing
-        ],
-        "unused": [
-            {"code": rule.code, "place": str(rule.where) if rule.where else "", "message": rule.message}
-            for rule in learned.unused
-        ],
+        **_listed(learned),
     }
+    several = f"the graph has domains {', '.join(map(str, domains))}; the policy allows every edge in each"
+    apart = "run discover and learn for each, with one workspace each"
+    about = _about_domains([(each,) for each in domains], "the graph was recorded in", several, apart, output)
     differ = (note for pair in pairwise(records) for note in differing_names(*pair))
-    diagnostics = (*learned.conflicts, *learned.unused, *_about_domains(domains, output), *learned.notes, *differ)
+    diagnostics = (*learned.conflicts, *learned.unused, *about, *learned.notes, *differ)
     return run.report(result, diagnostics, findings_if(learned.conflicts), notes={"learn-generated", NAMES_DIFFER})
 
 
@@ -128,16 +118,44 @@ def _kept(output: Path | None) -> KeymintError:
     return replacement_refusal(output, "learned", other, "learn-exists")
 
 
-def _about_domains(domains: Sequence[int], output: Path | None) -> Iterator[Diagnostic]:
-    """Yield a warning if the graph has another domain than 0: a policy contains no domain."""
-    if domains in ([], [0]):
+def _listed(learned: LearnedPolicy) -> dict[str, Any]:
+    """Return as JSON which edges were missing, and which permissions of the existing policy are not used."""
+    return {
+        "missing": [
+            {
+                "subject": edge.subject,
+                "permission": edge.permission,
+                "object": edge.object.name,
+                "partitions": edge.object.partitions,
+                "domain": edge.domain,
+            }
+            for edge in learned.missing
+        ],
+        "unused": [
+            {"code": rule.code, "place": str(rule.where) if rule.where else "", "message": rule.message}
+            for rule in learned.unused
+        ],
+    }
+
+
+def _about_domains(
+    domains: Sequence[tuple[int, ...]], one: str, several: str, apart: str, output: Path | None
+) -> Iterator[Diagnostic]:
+    """Yield a warning unless all is of domain 0: a policy contains no domain.
+
+    Args:
+        domains: the different domains that something is of.
+        one: where the domains stand, if there are no others; they follow in words.
+        several: what is said of others.
+        apart: what keeps them separate.
+        output: file of the policy.
+    """
+    if not domains or domains == [(0,)]:
         return
+    message, help_ = several, f"to keep the domains separate, {apart}"
     if len(domains) == 1:
-        message = f"the graph was recorded in domain {domains[0]}; policies contain no domain"
-        help_ = f"keymint provision {output or 'POLICY'} --domain {domains[0]}"
-    else:
-        message = f"the graph has domains {', '.join(map(str, domains))}; the policy allows every edge in each"
-        help_ = "to keep the domains separate, run discover and learn for each, with one workspace each"
+        message = f"{one} {_in_words(domains[0])}; policies contain no domain"
+        help_ = f"keymint provision {output or 'POLICY'} --domain {domains[0][0]}"
     yield Diagnostic.warning("learn-domain", message, Origin(str(output)) if output else None, help_)
 
 
@@ -204,31 +222,19 @@ def _from_keystore(
         "missing": [],
         "unused": [],
     }
-    return run.report(result, (*warnings, *_about_signed_domains(granted, output)))
+    groups: dict[tuple[int, ...], str] = {}
+    for each in granted:
+        if domains := tuple(_signed_domains(each)):
+            groups.setdefault(domains, each.rules.subject)
+    shown = "; ".join(f"{_in_words(domains)} ({subject})" for domains, subject in groups.items())
+    several = f"the documents are for different domains: {shown}; the policy allows all in each"
+    apart = "have one keystore and one workspace for each"
+    return run.report(result, (*warnings, *_about_domains([*groups], "the documents are for", several, apart, output)))
 
 
 def _signed_domains(granted: GrantedRules) -> Iterator[int]:
     for each in granted.domains:
         yield from range(each.first, each.last + 1)
-
-
-def _about_signed_domains(granted: Sequence[GrantedRules], output: Path | None) -> Iterator[Diagnostic]:
-    """Yield a warning unless all documents are for domain 0 alone: a policy contains no domain."""
-    groups: dict[tuple[int, ...], list[str]] = {}
-    for each in granted:
-        if domains := tuple(_signed_domains(each)):
-            groups.setdefault(domains, []).append(each.rules.subject)
-    if len(groups) > 1:
-        shown = "; ".join(f"{_in_words(domains)} ({subjects[0]})" for domains, subjects in groups.items())
-        message = f"the documents are for different domains: {shown}; the policy allows all in each"
-        help_ = "to keep the domains separate, have one keystore and one workspace for each"
-    elif groups.keys() <= {(0,)}:
-        return
-    else:
-        (domains,) = groups
-        message = f"the documents are for {_in_words(domains)}; policies contain no domain"
-        help_ = f"keymint provision {output or 'POLICY'} --domain {domains[0]}"
-    yield Diagnostic.warning("learn-domain", message, Origin(str(output)) if output else None, help_)
 
 
 def _in_words(domains: Sequence[int]) -> str:
