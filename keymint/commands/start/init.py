@@ -101,7 +101,7 @@ def bootstrap_request(run: Run, workspace: Workspace, policy: Path | None, profi
     Raises:
         KeymintError: the policy does not exist, or no build type for a transport is installed.
     """
-    path, policy_type = run.setting.cwd / policy if policy else None, ""
+    path = run.setting.cwd / policy if policy else None
     if path is not None and not path.exists():
         raise KeymintError(
             "no such file or folder",
@@ -109,10 +109,6 @@ def bootstrap_request(run: Run, workspace: Workspace, policy: Path | None, profi
             help="name a ComArmor policy",
             code="policy-missing",
         )
-    if path is not None and not path.is_dir() and path.suffix != ".xml":
-        # A plugin may recognise a policy that need not be imported; the usual one has no name here.
-        foreign = foreign_policy(run.plugins, [path])
-        policy_type = foreign.policy_type if foreign and not foreign.imported else ""
     environment = run.setting.environment
     return Bootstrap(
         name=workspace.root.name or "workspace",
@@ -124,8 +120,14 @@ def bootstrap_request(run: Run, workspace: Workspace, policy: Path | None, profi
         now=run.setting.now,
         build_types=_build_types_for(run.plugins, profile.transports),
         valid_for=profile.valid_for or "",
-        policy_type=policy_type,
+        policy_type=_policy_type(run, path) if path else "",
     )
+
+
+def _policy_type(run: Run, policy: Path) -> str:
+    """Return the plugin for a policy that it recognises, and that need not be imported; empty for the usual one."""
+    foreign = None if policy.is_dir() or policy.suffix == ".xml" else foreign_policy(run.plugins, [policy])
+    return foreign.policy_type if foreign and not foreign.imported else ""
 
 
 def refuse_contradiction(run: Run, workspace: Workspace, given: ProfileOptions, policy: Path | None = None) -> None:
