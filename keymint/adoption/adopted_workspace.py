@@ -78,7 +78,14 @@ def plan_adoption(inputs: Inputs, adoption: Adoption, crew: Crew) -> Plan:
     Raises:
         KeymintError: something cannot be taken over as it is; with all reasons.
     """
-    work = Work.after(inputs, _profile(inputs, adoption))
+    # The marker of the profile stays the last file to be written, also with the policy and the defaults.
+    plan = plan_init(inputs, adoption.profile_type, adoption.request)
+    (step,) = plan.steps
+    *folders, root = step.changes
+    defaults = {f"{DEFAULTS}/{part}.xml": content for part, content in adoption.found.defaults.items()}
+    changes = folder_changes(inputs.tree, inputs.workspace.profile, {**adoption.policy.files, **defaults})
+    profile = replace(plan, steps=(replace(step, changes=(*folders, *changes, root)),))
+    work = Work.after(inputs, profile)
     refuse_unsupported(work.session)
     for authority in adoption.found.authorities:
         place = Origin(f"{adoption.files.folder}/{authority.file}")
@@ -100,16 +107,6 @@ def plan_adoption(inputs: Inputs, adoption: Adoption, crew: Crew) -> Plan:
     # The policy is not in its place yet: no file has this fingerprint, so its files count as changed.
     unread = {source.path: b"\0" for source in work.session.profile.policies}
     return work.recording(record_policy(work.session, unread, adoption.policy.subjects)).plan
-
-
-def _profile(inputs: Inputs, adoption: Adoption) -> Plan:
-    """Plan the profile, with the policy and the defaults; its marker stays the last file to be written."""
-    plan = plan_init(inputs, adoption.profile_type, adoption.request)
-    (step,) = plan.steps
-    *folders, root = step.changes
-    defaults = {f"{DEFAULTS}/{part}.xml": content for part, content in adoption.found.defaults.items()}
-    changes = folder_changes(inputs.tree, inputs.workspace.profile, {**adoption.policy.files, **defaults})
-    return replace(plan, steps=(replace(step, changes=(*folders, *changes, root)),))
 
 
 # -- sources ------------------------------------------------------------------------------------------------------

@@ -31,7 +31,7 @@ def read_input(run: Run, path: Path, most: int | None = None) -> bytes:
     Raises:
         KeymintError: it is missing, is not a regular file, or cannot be read.
     """
-    resolved = _resolved(run, path)
+    resolved = user_path(run, path)
     try:
         content = read_file(resolved, most)
     except KeymintError as error:
@@ -67,9 +67,9 @@ def write_outputs(
     Raises:
         KeymintError: the path is a link or a directory, or the file is to be kept, or the system refuses.
     """
-    if keep and exists(run, path) and read_input(run, path) != content:
+    if keep and user_path(run, path).exists() and read_input(run, path) != content:
         raise keep
-    folder = _resolved(run, path.parent)
+    folder = user_path(run, path.parent)
     wanted = {folder / name: File(data, secret=secret) for name, data in (beside or {}).items()}
     wanted[folder / path.name] = File(content, secret=secret)
     changed = {place: file for place, file in wanted.items() if _current(place) != file.content}
@@ -97,7 +97,7 @@ def replace_inputs(run: Run, changed: Mapping[Path, tuple[bytes, bytes]]) -> Non
         if read_input(run, path) != before:
             help_ = "nothing was written; run the command again"
             raise KeymintError("changed meanwhile", where=Origin(str(path)), help=help_, code="file-changed")
-        target = _resolved(run, path)
+        target = user_path(run, path)
         files[target] = File(content, mode=stat.S_IMODE(target.stat().st_mode))
     write_files(Path(os.path.commonpath([path.parent for path in files])), files, run.console.waiting)
 
@@ -145,16 +145,6 @@ def replacement_refusal(path: Path | None, made: str, other: str, code: str) -> 
     return KeymintError(message, where=Origin(str(path)), help=help_, code=code)
 
 
-def exists(run: Run, path: Path) -> bool:
-    """Return whether a path that the user named exists."""
-    return _resolved(run, path).exists()
-
-
-def is_folder(run: Run, path: Path) -> bool:
-    """Return whether a path that the user named is an existing folder."""
-    return _resolved(run, path).is_dir()
-
-
 def source_files(run: Run, labelled: LabelledGraph) -> Mapping[str, bytes]:
     """Return the content of the files that a graph refers to, by name."""
     places = {
@@ -164,7 +154,7 @@ def source_files(run: Run, labelled: LabelledGraph) -> Mapping[str, bytes]:
         if label is not None and label.where
     }
     files = sorted({each.file for place in places for each in (place, *place.chain)})
-    return {file: read_input(run, Path(file)) for file in files if exists(run, Path(file))}
+    return {file: read_input(run, Path(file)) for file in files if user_path(run, Path(file)).exists()}
 
 
 def _current(path: Path) -> bytes | None:
@@ -174,7 +164,12 @@ def _current(path: Path) -> bytes | None:
         return None  # the store reports why it cannot be replaced
 
 
-def _resolved(run: Run, path: Path) -> Path:
+def user_path(run: Run, path: Path) -> Path:
+    """Return a path that the user named as an absolute one, which need not exist; links are followed.
+
+    Raises:
+        KeymintError: no path can be like this.
+    """
     try:
         return (run.setting.cwd / path).resolve()
     except (OSError, RuntimeError, ValueError) as error:

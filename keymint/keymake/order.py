@@ -44,14 +44,9 @@ def arrange(allow: Iterable[Glob], deny: Iterable[Glob], *, reduced: bool = True
     """
     if not reduced:
         return _arrange_all(tuple(dict.fromkeys(allow)), tuple(dict.fromkeys(deny)))
-    literals: list[tuple[str, Glob]] = []
-    wild: list[Glob] = []
-    for glob in dict.fromkeys(allow):
-        text = literal(glob)
-        if text is None:
-            wild.append(glob)
-        else:
-            literals.append((text, glob))
+    distinct = dict.fromkeys(allow)
+    literals = [(text, glob) for glob in distinct if (text := literal(glob)) is not None]
+    wild = [glob for glob in distinct if literal(glob) is None]
     if denied := tuple(deny):
         denied_names = {text for glob in denied if (text := literal(glob)) is not None}
         denies = [matcher(glob) for glob in denied if literal(glob) is None]

@@ -6,7 +6,7 @@ from __future__ import annotations
 import contextlib
 import functools
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from comarmor.errors import Defects, Diagnostic, Origin
@@ -275,7 +275,14 @@ def compile_elsewhere(pool: Pool, session: Session, names: Sequence[str], option
     Raises:
         KeymintError: the cluster is lost, or its versions differ.
     """
-    packages = list(_alone(session, names))
+    candidates: list[Package] = []
+    for name in names:
+        if not package_build_types.is_build_current(session, name):
+            with contextlib.suppress(KeymintError):  # the build reports it
+                candidates.append(session.package(name))
+    kinds = [(kind_of(each.grant.rules.rules)[0], each.distro, each.grant.domains) for each in candidates]
+    members = Counter(kinds)
+    packages = [package for package, kind in zip(candidates, kinds, strict=True) if members[kind] == 1]
     for name in dict.fromkeys(name for package in packages for name in package.build_types):
         compiler = session.plugins.build_type(name)
         own = [each for each in packages if name in each.build_types and compiler.is_remote(each)]
@@ -285,15 +292,3 @@ def compile_elsewhere(pool: Pool, session: Session, names: Sequence[str], option
         for part, compiled in zip(tasks, pool.map(compiler.compiling(), tasks), strict=True):
             for (package, its_options), one in zip(part, compiled, strict=False):
                 compiler.receive(package, its_options, one, trusted=pool.trusted)
-
-
-def _alone(session: Session, names: Sequence[str]) -> Iterator[Package]:
-    """Yield the packages to build that are the only one of their kind."""
-    packages: list[Package] = []
-    for name in names:
-        if not package_build_types.is_build_current(session, name):
-            with contextlib.suppress(KeymintError):  # the build reports it
-                packages.append(session.package(name))
-    kinds = [(kind_of(each.grant.rules.rules)[0], each.distro, each.grant.domains) for each in packages]
-    members = Counter(kinds)
-    yield from (package for package, kind in zip(packages, kinds, strict=True) if members[kind] == 1)

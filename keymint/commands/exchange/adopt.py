@@ -238,8 +238,14 @@ def _result(found: FoundKeystore, comparisons: Mapping[str, Mapping[str, Any]]) 
 def _enclave(enclave: FoundEnclave, relation: str) -> str:
     facts = enclave.facts
     certificate = facts.get("certificate")
-    checks = list(_checks(facts))
-    right, wrong = (", ".join(name for name, holds in checks if holds is wanted) for wanted in (True, False))
+    checks: dict[str, bool | None] = {  # each with whether it is right, if it could be checked
+        "chain": bool(facts["chain"]),
+        "key": None if facts["key"] == "elsewhere" else facts["key"] == "matches",
+        "name": bool(facts["named_like_path"]),
+        "signatures": all(facts["signatures"].values()),
+        "text": None if facts["same_text"] is None else bool(facts["same_text"]),
+    }
+    right, wrong = (", ".join(name for name, holds in checks.items() if holds is wanted) for wanted in (True, False))
     domains = (str(first) if first == last else f"{first} to {last}" for first, last in facts["domains"] or ())
     parts = [
         facts["subject_name"] or "no certificate",
@@ -250,14 +256,3 @@ def _enclave(enclave: FoundEnclave, relation: str) -> str:
         f"WRONG: {wrong}" if wrong else "",
     ]
     return f"enclave    {enclave.subject or facts['place']}  {'; '.join(filter(None, parts))}"
-
-
-def _checks(facts: Mapping[str, Any]) -> Iterator[tuple[str, bool]]:
-    """Yield what was checked of an enclave, each with whether it is right."""
-    yield "chain", bool(facts["chain"])
-    if facts["key"] != "elsewhere":
-        yield "key", facts["key"] == "matches"
-    yield "name", bool(facts["named_like_path"])
-    yield "signatures", all(facts["signatures"].values())
-    if facts["same_text"] is not None:
-        yield "text", bool(facts["same_text"])

@@ -21,7 +21,7 @@ import click
 from comarmor.errors import Diagnostic, Origin
 from keymint.api import DiscoveredGraph, GraphSource, graph_json
 from keymint.api.graph import NAMES_DIFFER, Graph, differing_names
-from keymint.command_line.named_files import deliver, exists, read_input
+from keymint.command_line.named_files import deliver, read_input, user_path
 from keymint.command_line.verb import Number, Report, Run, flag, graph_source, option, path_option, plugin, verb
 from keymint.errors import ExitCode, KeymintError, usage_error
 from keymint.names import typed_subject
@@ -74,7 +74,7 @@ def discover(
     names = _names(subjects)
     if captures and domain is not None:
         raise usage_error("--domain cannot be combined with --from", "a capture contains its domain")
-    graphs = [_load(run, source, append, {})] if append and exists(run, append) else []
+    graphs = [_load(run, source, append, {})] if append and user_path(run, append).exists() else []
     interrupted: ExitCode | None = None
     if captures:
         graphs += [_load(run, source, capture, names) for capture in captures]
@@ -86,7 +86,9 @@ def discover(
     content = graph_json.dump(graph)
     target = output or append
     if target:
-        run.console.line(_summary(graph))
+        counts = Counter(object_.kind for _, object_ in graph.objects)
+        kinds = ", ".join(f"{counts[kind]} {kind}" for kind in sorted(counts)) or "none"
+        run.console.line(f"{len(graph.subjects)} subjects, {len(graph.edges)} edges, objects: {kinds}")
     delivered = deliver(run, target, content)
     result: dict[str, Any] = {
         "subjects": graph.subjects,
@@ -153,12 +155,6 @@ def _observe(
         )
         return replace(observed, diagnostics=(*observed.diagnostics, early)), ended[0]
     return observed, None
-
-
-def _summary(graph: Graph) -> str:
-    counts = Counter(object_.kind for _, object_ in graph.objects)
-    kinds = ", ".join(f"{counts[kind]} {kind}" for kind in sorted(counts)) or "none"
-    return f"{len(graph.subjects)} subjects, {len(graph.edges)} edges, objects: {kinds}"
 
 
 @contextmanager

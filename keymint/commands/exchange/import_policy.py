@@ -19,7 +19,7 @@ from keymint.api import (
     Proof,
     standard_claims,
 )
-from keymint.command_line.named_files import deliver, exists, read_input, replacement_refusal
+from keymint.command_line.named_files import deliver, read_input, replacement_refusal, user_path
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions, distro_option, force_option, library_option
 from keymint.command_line.verb import FILE, Report, Run, argument, flag, option, path_option, verb
@@ -153,7 +153,7 @@ def _refuse_other_library(run: Run, output: Path, library: Path, document: bytes
         return
     for path in sorted(library.rglob("*.xml")):
         beside = output / path.relative_to(library)
-        if exists(run, beside) and read_input(run, beside) != path.read_bytes():
+        if user_path(run, beside).exists() and read_input(run, beside) != path.read_bytes():
             raise KeymintError(
                 "the new policy would include this file, which differs from that of the policy library",
                 where=Origin(str(beside)), help="name another folder with -o", code="import-library",

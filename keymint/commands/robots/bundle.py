@@ -19,7 +19,7 @@ from comarmor.values import dataclass
 from keymint.api import Package, Phase
 from keymint.authority.authorities import MintedAuthority, plan_authorities
 from keymint.authority.rollover import phase_of
-from keymint.command_line.named_files import is_folder, show_written, write_outputs
+from keymint.command_line.named_files import show_written, user_path, write_outputs
 from keymint.command_line.options import complete_package
 from keymint.command_line.verb import Report, Run, argument, flag, path_option, verb
 from keymint.errors import KeymintError, usage_error
@@ -152,7 +152,7 @@ def require_output(run: Run, output: Path | None, number: int) -> None:
     Raises:
         KeymintError: they do not; a usage error.
     """
-    if number > 1 and output is not None and not is_folder(run, output):
+    if number > 1 and output is not None and not user_path(run, output).is_dir():
         raise usage_error(f"{output} is no folder, and there are {number} bundles", "make the folder, or name another")
 
 
@@ -168,7 +168,7 @@ def write_bundles(run: Run, output: Path | None, made: Sequence[MadeBundle]) -> 
     documents = []
     for each in made:
         file = f"{each.manifest.name.replace('/', '.')}.bundle"
-        target = Path(file) if output is None else output / file if is_folder(run, output) else output
+        target = Path(file) if output is None else output / file if user_path(run, output).is_dir() else output
         show_written(run, target, write_outputs(run, target, each.content, secret=each.secret))
         if each.secret:
             run.console.line(

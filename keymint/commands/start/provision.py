@@ -56,7 +56,14 @@ def provision(
         refuse_contradiction(run, workspace, profile)
 
     def make_plan(inputs: Inputs) -> Plan:
-        work = accept(_with_profile(inputs), acceptance)
+        if inputs.workspace.exists():
+            session = inputs.session()
+            own = policy_path(run.setting.cwd / policy, inputs.workspace.profile)
+            work = Work(session).then(plan_policy(session, own))
+        else:
+            work = Work.after(inputs, plan_init(inputs, profile.profile_type or DEFAULT_PROFILE_TYPE, bootstrap))
+            refuse_unsupported(work.session)
+        work = accept(work, acceptance)
         acquired = lazy_policy(work.session)
         work = work.then(plan_release(work.session, acquired))
         names = packages_to_create(work.session, acquired)
@@ -76,15 +83,5 @@ def provision(
             notes=lambda done: policy_slips(done.session, done.of(CREATE, BUILD).steps, acquired),
         )
         return conduct(work, everything, run.crew).plan
-
-    def _with_profile(inputs: Inputs) -> Work:
-        if inputs.workspace.exists():
-            session = inputs.session()
-            return Work(session).then(
-                plan_policy(session, policy_path(run.setting.cwd / policy, inputs.workspace.profile))
-            )
-        work = Work.after(inputs, plan_init(inputs, profile.profile_type or DEFAULT_PROFILE_TYPE, bootstrap))
-        refuse_unsupported(work.session)
-        return work
 
     return run.carry_out(workspace, make_plan)

@@ -15,7 +15,7 @@ from comarmor.text import quantity
 from comarmor.values import dataclass
 from comarmor.xml.reader import looks_like_xml
 from keymint.api import PolicyType
-from keymint.command_line.named_files import is_folder, read_input, replace_inputs
+from keymint.command_line.named_files import read_input, replace_inputs, user_path
 from keymint.command_line.verb import PATH, Report, Run, argument, findings_if, flag, verb
 from keymint.errors import KeymintError, usage_error
 from keymint.view.tree import MAX_FILE
@@ -161,8 +161,8 @@ def _files(run: Run, types: Sequence[PolicyType], paths: Iterable[Path]) -> Mapp
 
 def _found(run: Run, types: Sequence[PolicyType], path: Path | None) -> Iterator[tuple[Path, bool]]:
     """Yield the files that a path stands for, each with whether it was named itself."""
-    for place in (path,) if path is not None and not is_folder(run, path) else _places(run, path):
-        if is_folder(run, place):
+    for place in (path,) if path is not None and not user_path(run, path).is_dir() else _places(run, path):
+        if user_path(run, place).is_dir():
             yield from ((file, False) for each in types for file in each.written_files(place))
         else:
             yield place, True

@@ -61,12 +61,13 @@ def proven(
     results = stage.results(crew.planned(stage, names))
     diagnostics = diagnostics_of(results, strict=request.strict)
     of_vendors = {enclave.subject for enclave in results.enclaves if _holds(enclave, results.standards)}
-    refused = [
-        replace(diagnostic, help=_with_remedy(diagnostic.help, of_vendors=diagnostic.subject in of_vendors))
-        for diagnostic in diagnostics
-        if diagnostic.code != NO_PROVER
-        and not (diagnostic.subject in of_vendors and _goes_on(session, diagnostic.subject))
-    ]
+    refused: list[Diagnostic] = []
+    for each in diagnostics:
+        by_vendors_only = each.subject in of_vendors
+        if each.code != NO_PROVER and not (by_vendors_only and _goes_on(session, each.subject)):
+            accept = "accept differences between vendors with --allow-vendor-specific, " if by_vendors_only else ""
+            remedy = f"nothing was installed; rebuild it from the policy, {accept}or sign it anyway with --no-prove"
+            refused.append(replace(each, help=f"{each.help}; {remedy}" if each.help else remedy))
 
     def shown(name: str) -> str:
         return session.workspace.shown(session.workspace.build / name)
@@ -121,9 +122,3 @@ def _holds(enclave: EnclaveProof, standards: Collection[str]) -> bool:
     """Return whether an enclave is proven by the standards, so that only vendors differ."""
     own = [claim for claim in enclave.claims if claim.model in standards]
     return bool(own) and all(claim.proof is Proof.PROVEN for claim in own)
-
-
-def _with_remedy(help_: str, *, of_vendors: bool) -> str:
-    accept = "accept differences between vendors with --allow-vendor-specific, " if of_vendors else ""
-    remedy = f"nothing was installed; rebuild it from the policy, {accept}or sign it anyway with --no-prove"
-    return f"{help_}; {remedy}" if help_ else remedy

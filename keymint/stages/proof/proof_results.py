@@ -248,7 +248,7 @@ def in_words(example: Counterexample) -> tuple[str, str, str]:
     return permits, f"{example.endpoint.action} {example.endpoint.name!r}{meaning}", allows
 
 
-_RULES, _CLAIMS, _TERMS, WRITTEN = "rules", "claims", "terms", "written"
+RULES, _CLAIMS, _TERMS, WRITTEN = "rules", "claims", "terms", "written"
 """Keys of the outputs."""
 
 
@@ -274,7 +274,7 @@ def dump_proof(
         )
         for term in terms
     ]
-    return {_CLAIMS: dump_claims(tuple(claims)), _RULES: _rules_digest(rules), _TERMS: _json(rows)}
+    return {_CLAIMS: dump_claims(tuple(claims)), RULES: placeless_digest(rules), _TERMS: _json(rows)}
 
 
 _json = json.JSONEncoder(separators=(",", ":")).encode
@@ -312,12 +312,7 @@ def load_proof(stamp: Stamp, folder: str) -> tuple[tuple[Claim, ...], tuple[Vali
         return None
 
 
-def has_rules(stamp: Stamp, rules: Iterable[SubjectRules]) -> bool:
-    """Tell whether a proof was made of the same rules, wherever they are written."""
-    return stamp.outputs.get(_RULES) == _rules_digest(rules)
-
-
-def _rules_digest(rules: Iterable[SubjectRules]) -> str:
+def placeless_digest(rules: Iterable[SubjectRules]) -> str:
     """Return a digest of rules, independent of where they are written."""
     kinds = (kind_of(of_subject.rules) for of_subject in rules)
     return digest(*(part for kind, names in kinds for part in (_kind_digest(kind), *names)))
