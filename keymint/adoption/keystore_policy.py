@@ -12,7 +12,6 @@ from comarmor.values import dataclass
 from keymint.api import (
     ComparisonTask,
     DocumentComparison,
-    FoundEnclave,
     FoundKeystore,
     GrantedRules,
     KeystoreFiles,
@@ -91,17 +90,13 @@ class Compared:
 
 
 def document_comparisons(
-    reader: KeystoreReader,
-    enclaves: Iterable[FoundEnclave],
-    rules: Mapping[str, SubjectRules],
-    distro: str,
-    effort: ProofEffort,
+    reader: KeystoreReader, keystore: FoundKeystore, rules: Mapping[str, SubjectRules], distro: str, effort: ProofEffort
 ) -> tuple[Compared, ...]:
     """Compare the signed documents of a keystore with a policy.
 
     Args:
         reader: reads the documents.
-        enclaves: the enclaves; those without rights that verify have a finding already.
+        keystore: what it has; enclaves without rights that verify have a finding already.
         rules: the rules of the policy, by subject; a subject without any may do nothing.
         distro: ROS 2 distribution whose name mapping applies.
         effort: the limits of the search for one answer, and of the comparison of all documents together.
@@ -111,7 +106,7 @@ def document_comparisons(
     """
     found: list[Compared] = []
     go_on = effort.deadline()
-    for each in enclaves:
+    for each in keystore.enclaves:
         if (grant := each.grant) is not None:
             of_subject = rules.get(each.subject, SubjectRules(each.subject, ()))
             task = ComparisonTask(

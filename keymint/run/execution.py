@@ -35,7 +35,6 @@ from keymint.store.journal import Journal
 from keymint.store.staged import Exchange
 from keymint.store.store import Store, clock
 from keymint.view.recorded_answers import Answer, Call, Sight, is_recordable, name_of, record
-from keymint.view.stamps import State
 from keymint.view.tree import Tree
 from keymint.workspace.package_build_types import BUILD, may_share
 from keymint.workspace.policy_loading import recorded_files
@@ -247,21 +246,14 @@ def open_store(workspace: Workspace) -> Store:
 
 
 def execute(
-    plan: Plan,
-    workspace: Workspace,
-    store: Store,
-    before: State,
-    workers: Workers,
-    on_step: Callable[[Step], None],
-    intent: Journal,
+    plan: Plan, inputs: Inputs, store: Store, workers: Workers, on_step: Callable[[Step], None], intent: Journal
 ) -> int:
     """Carry out a plan.
 
     Args:
         plan: the plan.
-        workspace: the workspace.
+        inputs: the workspace before it; the record is written only if it changes.
         store: the writer.
-        before: the previous record; written only if it changes.
         workers: the processes that hold a part of what is written.
         on_step: called for every step, after all of them.
         intent: what the run was asked for.
@@ -272,46 +264,43 @@ def execute(
     Raises:
         KeymintError: the system refuses a write; no file is incomplete, and the next run finishes it, or drops it.
     """
-    guards = missing_gitignores(workspace, plan)
-    if not guards and not plan.writes() and plan.state == before:
-        for step in plan.steps:
-            on_step(step)
-        return clock(workspace.state)
-    changing = {step.package for step in plan.steps if step.package and step.writes()}
-    store.begin(replace(intent, packages=tuple(sorted(changing))))
-    for guard in guards:  # before the first secret is written
-        store.write(guard.folder, guard.files, private=guard.private)
-    staged = _staged(plan, FolderChange(workspace.state, {RECORD: File(plan.state.dump())}), store, workers)
-    visible = clock(workspace.state)
-    store.commit(staged)
+    folder, guards = inputs.workspace.state, missing_gitignores(inputs.workspace, plan)
+    if guards or plan.writes() or plan.state != inputs.state:
+        changing = {step.package for step in plan.steps if step.package and step.writes()}
+        store.begin(replace(intent, packages=tuple(sorted(changing))))
+        for guard in guards:  # before the first secret is written
+            store.write(guard.folder, guard.files, private=guard.private)
+        staged = _staged(plan, FolderChange(folder, {RECORD: File(plan.state.dump())}), store, workers)
+        visible = clock(folder)
+        store.commit(staged)
+    else:
+        visible = clock(folder)
     for step in plan.steps:
         on_step(step)
     return visible
 
 
-def require_register(plan: Plan, workspace: Workspace, tree: Tree) -> None:
+def require_register(plan: Plan, inputs: Inputs) -> None:
     """Require that the register which a plan replaces is the one that it was made from.
 
     A workspace that shares the private space writes it, too, and not every file system has locks.
 
     Args:
         plan: the plan.
-        workspace: the workspace.
-        tree: what the plan was made from.
+        inputs: what the plan was made from.
 
     Raises:
         KeymintError: it is another one, so that serial numbers or revocations would be lost.
     """
-    path = workspace.register
-    if any(change.folder == path.parent and path.name in change.files for change in plan.first):
-        present = Tree().digest(path)
-        if present != tree.digest(path):
-            raise KeymintError(
-                "was changed by another run meanwhile, so nothing was written",
-                where=workspace.origin(path),
-                help="run the command again",
-                code="register-changed",
-            )
+    path = inputs.workspace.register
+    is_replaced = any(change.folder == path.parent and path.name in change.files for change in plan.first)
+    if is_replaced and Tree().digest(path) != inputs.tree.digest(path):
+        raise KeymintError(
+            "was changed by another run meanwhile, so nothing was written",
+            where=inputs.workspace.origin(path),
+            help="run the command again",
+            code="register-changed",
+        )
 
 
 def _staged(plan: Plan, record: FolderChange, store: Store, workers: Workers) -> Sequence[Exchange]:

@@ -65,6 +65,8 @@ class Setting:
 
 
 _T = TypeVar("_T")
+_ExitCodeOf = Callable[[Plan], ExitCode]
+"""Returns the exit code of an executed plan."""
 
 
 def exit_code_of(plan: Plan) -> ExitCode:
@@ -284,9 +286,7 @@ class Run:
 
     # -- doing it ------------------------------------------------------------------------------------------------
 
-    def change(
-        self, make_plan: Callable[[Session], Plan], exit_code: Callable[[Plan], ExitCode] = exit_code_of
-    ) -> Report:
+    def change(self, make_plan: Callable[[Session], Plan], exit_code: _ExitCodeOf = exit_code_of) -> Report:
         """Carry out a plan for the workspace and its profile; see :meth:`carry_out`."""
         return self.carry_out(self.workspace(), lambda inputs: make_plan(inputs.session()), exit_code)
 
@@ -307,10 +307,7 @@ class Run:
         return report, latest[0]
 
     def carry_out(
-        self,
-        workspace: Workspace,
-        make_plan: Callable[[Inputs], Plan],
-        exit_code: Callable[[Plan], ExitCode] = exit_code_of,
+        self, workspace: Workspace, make_plan: Callable[[Inputs], Plan], exit_code: _ExitCodeOf = exit_code_of
     ) -> Report:
         """Plan, execute the plan under the workspace lock, and return the report.
 
@@ -333,9 +330,7 @@ class Run:
         with contextlib.closing(self.crew), contextlib.closing(self.tokens):
             return self._carry_out(workspace, planned_from, exit_code)
 
-    def _carry_out(
-        self, workspace: Workspace, make_plan: Callable[[Inputs], Plan], exit_code: Callable[[Plan], ExitCode]
-    ) -> Report:
+    def _carry_out(self, workspace: Workspace, make_plan: Callable[[Inputs], Plan], exit_code: _ExitCodeOf) -> Report:
         if self.dry_run:
             plan = make_plan(self.snapshot(workspace))
             return self.report({}, plan.diagnostics, exit_code(plan), workspace=workspace, steps=plan.steps)
@@ -361,10 +356,10 @@ class Run:
             if writes_there and store.lock_missing(self.console.waiting):
                 planned = self._planned_again(workspace, make_plan)
             inputs, plan, sight = planned
-            require_register(plan, workspace, inputs.tree)
+            require_register(plan, inputs)
             guards = missing_gitignores(workspace, plan)
             with self.console.progress(len(plan.steps), self.setting.monotonic) as advance:
-                visible = execute(plan, workspace, store, inputs.state, self.crew, advance, self.intent())
+                visible = execute(plan, inputs, store, self.crew, advance, self.intent())
             names = [(str(each.folder), each.written, each.removed) for each in (*guards, *plan.changes())]
             seen = sight.after(names, visible, clock(workspace.state))
             report = self.report({}, plan.diagnostics, exit_code(plan), workspace=workspace, steps=plan.steps)

@@ -26,7 +26,7 @@ from keymint.stages.documents import (
     refuse_edits,
     removals,
 )
-from keymint.stages.work import PackagePlan, PackageStage, state_after, steps_of
+from keymint.stages.work import InstallRequest, PackagePlan, PackageStage, state_after, steps_of
 from keymint.store.changes import Action, DocumentSize, File, FolderChange, Plan, Step, by_folder
 from keymint.view.stamps import Stamp, digest
 from keymint.workspace import package_build_types
@@ -41,9 +41,8 @@ class BuildStage(PackageStage):
 
     Args:
         session: the workspace and its profile.
-        options: options of the build types; None for those that each package was built with last.
-        force: rebuild, and overwrite documents that were edited by hand.
-        renew: replace the private keys of the subjects.
+        asked: what the user asks for: options of the build types, and whether documents that were edited by hand are
+            overwritten and the private keys of the subjects replaced.
         followers: packages that keep their keys in any case.
         policy: the policy, which knows where the rules of packages are now; loaded when needed if it is not given.
     """
@@ -53,17 +52,12 @@ class BuildStage(PackageStage):
     def __init__(
         self,
         session: Session,
-        options: BuildOptions | None,
-        *,
-        force: bool = False,
-        renew: bool = False,
+        asked: InstallRequest,
         followers: Collection[str] = (),
         policy: LoadedPolicy | None = None,
     ) -> None:
         self._session = session
-        self._options = options
-        self._force = force
-        self._renew = renew
+        self._asked = asked
         self._followers = followers
         self._policy = policy
         self._moved = functools.cache(self._moves)
@@ -72,14 +66,14 @@ class BuildStage(PackageStage):
         """Return the plan for a package."""
         subject = subject_of(name)
         try:
-            renew = self._renew and name not in self._followers
-            plan = _plan_documents(self._session, name, self._options_of(name), force=self._force, renew=renew)
+            renew = self._asked.renew and name not in self._followers
+            plan = _plan_documents(self._session, name, self._options_of(name), force=self._asked.force, renew=renew)
         except KeymintError as error:
             return PackagePlan(name, errors=self._in_policy(error.diagnostics, subject))
         return replace(plan, diagnostics=self._in_policy(plan.diagnostics, subject))
 
     def _options_of(self, name: str) -> BuildOptions:
-        return self._options or options_as_built(self._session, name)
+        return self._asked.build or options_as_built(self._session, name)
 
     def plan(self, planned: Sequence[PackagePlan]) -> Plan:
         """Put the plans for some packages together, and add the shared documents."""
@@ -89,8 +83,8 @@ class BuildStage(PackageStage):
         diagnostics |= dict.fromkeys(terms.of_sources({each.name: each.lifetimes for each in planned}, session))
         built = replace(session, state=state_after(session.state, STAGE, planned))
         try:
-            options = self._options_of(planned[0].name) if planned else self._options or BuildOptions()
-            shared = _plan_shared(built, options, force=self._force)
+            options = self._options_of(planned[0].name) if planned else self._asked.build or BuildOptions()
+            shared = _plan_shared(built, options, force=self._asked.force)
         except KeymintError as error:
             raise KeymintError.of(self._in_policy(error.diagnostics)) from error
         diagnostics |= dict.fromkeys(self._in_policy(each for plan in shared for each in plan.diagnostics))

@@ -19,6 +19,7 @@ from keymint.life.workspace_register import register_of, withdrawn
 from keymint.names import name_of, subject_of
 from keymint.stages import build, create, install
 from keymint.stages.documents import built_documents, installed_shared, is_built
+from keymint.stages.work import InstallRequest
 from keymint.store.changes import Plan
 from keymint.view.stamps import Stamp, State
 from keymint.workspace.installed_enclaves import enclave_names, hidden, installed_certificate, orphans
@@ -228,7 +229,7 @@ def _require_same(session: Session, name: str) -> Mapping[str, Stamp]:
     """
     if is_build_current(session, name) or not is_built(session, name):
         return {}
-    planned = build.BuildStage(session, BuildOptions()).package(name)
+    planned = build.BuildStage(session, InstallRequest(build=BuildOptions())).package(name)
     if planned.errors:
         raise KeymintError.of(planned.errors)
     folder = session.workspace.build / name

@@ -29,6 +29,7 @@ from keymint.pki import certificates
 from keymint.stages import install
 from keymint.stages.build import BuildStage, options_as_built
 from keymint.stages.create import CreateStage
+from keymint.stages.documents import affected_packages
 from keymint.stages.install import InstallStage
 from keymint.stages.proof.proof_gate import proof_stage, proven
 from keymint.stages.proof.prove import ProofStage
@@ -110,7 +111,8 @@ def _conducted(start: Work, request: Request, crew: Crew) -> Work:
     if request.change and request.change.writes() and BUILD not in request.stages:
         # What the change concerns is built for it, before everything else is installed as it was built.
         concerned = _with_followers(start.session, work, [step.package for step in request.change.steps])
-        work = _through(work, partial(BuildStage, options=request.options.build), concerned, request, crew)
+        as_built = partial(BuildStage, asked=InstallRequest(build=request.options.build))
+        work = _through(work, as_built, concerned, request, crew)
         names = tuple(dict.fromkeys((*names, *concerned)))
     stages = _stages(request, authorities, crew)
     subjects = stages[CREATE](work.session).subjects(names) if CREATE in stages else names
@@ -160,7 +162,9 @@ def _proved(
         of_vendors = any(options_as_built(unsigned, name).allow_vendor_specific for name in issued)
         options = replace(options, allow_vendor_specific=options.allow_vendor_specific or of_vendors)
     policy, warnings = (request.policy, ()) if request.policy else policy_in_force(unsigned)
-    return proven(crew, unsigned, work.noting(*warnings), names, policy, options)
+    # New shared documents decide about enclaves that stay as they are, too.
+    concerned = {*names, *affected_packages(unsigned, work.session)}
+    return proven(crew, work.noting(*warnings), concerned, policy, options)
 
 
 def _proves(request: Request) -> bool:
@@ -190,9 +194,7 @@ def _stages(
         acquired = cast("LoadedPolicy", policy)
         stages[CREATE] = partial(CreateStage, policy=acquired, force=options.force, valid_for=request.valid_for)
     if BUILD in request.stages:
-        stages[BUILD] = partial(
-            BuildStage, options=options.build, force=options.force, renew=options.renew, policy=policy
-        )
+        stages[BUILD] = partial(BuildStage, asked=options, policy=policy)
     if INSTALL in request.stages:
         stages[INSTALL] = partial(InstallStage, authorities=authorities, prune=options.prune)
     if policy and _proves(request):

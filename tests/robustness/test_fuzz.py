@@ -29,6 +29,7 @@ from keymint.pki.tokens.token_sessions import Tokens
 from keymint.stages.build import BuildStage
 from keymint.stages.create import CreateStage, packages_to_create
 from keymint.stages.install import InstallStage
+from keymint.stages.work import InstallRequest
 from keymint.store.changes import Plan
 from keymint.view.stamps import State
 from keymint.view.tree import Tree
@@ -236,7 +237,7 @@ def _planned(inputs: Inputs, known: LoadedPolicy | None, *, in_build: bool) -> s
         after = session.after(_plan(create, create.subjects(names)))
         options = BuildOptions(allow_vendor_specific=True)
         if not in_build:  # a document in build/ is signed as it is
-            after = after.after(_plan(BuildStage(after, options, force=True, renew=False), names))
+            after = after.after(_plan(BuildStage(after, InstallRequest(force=True, build=options)), names))
         minted, authorities = plan_authorities(after)
         _plan(InstallStage(after.after(minted), authorities, prune=True), names)
     except KeymintError as error:

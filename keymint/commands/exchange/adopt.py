@@ -83,7 +83,7 @@ def adopt(
     effort = ProofEffort(run.setting.monotonic, _STATES)
     if policy is not None:
         own = _named_policy(run, policy, workspace, options, found, accept=accept, implicit=implicit)
-        comparisons = document_comparisons(reader, found.enclaves, own.rules, target, effort)
+        comparisons = document_comparisons(reader, found, own.rules, target, effort)
     different = [each for each in (policy_finding(one) for one in comparisons) if each]
     rules = of_documents(reader, files, found.enclaves, target)
     nodes = node_notes(run.plugins, (build_type_name,), target, rules)

@@ -51,7 +51,7 @@ def export(
     made = writer.exported(subjects, lossy=lossy)
     diagnostics = [*made.diagnostics]
     if writer.BUILD_TYPE:
-        proofs = proofs_of(run, writer, made.subjects, policies.distro, made.diagnostics)
+        proofs = proofs_of(run, writer, made, policies.distro)
         diagnostics += diagnostics_of(proofs, writer.TOOL)
     keep = None if force else replacement_refusal(output, "exported", "name another file", "export-exists")
     result: dict[str, Any] = {

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin
@@ -12,7 +12,8 @@ from comarmor.xml.reader import looks_like_xml, parse
 from keymint.api import (
     Comparison,
     Counterexample,
-    ImportedSubject,
+    ExportedPolicy,
+    ImportedPolicy,
     ImportRequest,
     PolicyFormat,
     PolicyType,
@@ -70,7 +71,7 @@ def import_policy(
     file = output / f"{policy.name.removesuffix('.xml').removesuffix('.policy')}.xml"
     request = ImportRequest(run.setting.cwd / policy, str(file), library, accept, implicit)
     imported = importer.translated(request)
-    proofs = proofs_of(run, importer, imported.subjects, policies.distro, imported.diagnostics)
+    proofs = proofs_of(run, importer, imported, policies.distro)
     _refuse_other_library(run, output, request.library, imported.document)
     keep = None if force else replacement_refusal(file, "imported", "name another folder with -o", "import-exists")
     delivered = deliver(run, file, imported.document, keep=keep)
@@ -104,20 +105,15 @@ def _importer(run: Run, policy: Path) -> PolicyType:
 
 
 def proofs_of(
-    run: Run,
-    translator: PolicyType | PolicyFormat,
-    subjects: Iterable[ImportedSubject],
-    distro: str,
-    said: Iterable[Diagnostic],
+    run: Run, translator: PolicyType | PolicyFormat, made: ImportedPolicy | ExportedPolicy, distro: str
 ) -> Mapping[str, Comparison]:
     """Return what is proven about subjects whose documents another tool writes, by subject.
 
     Args:
         run: the run.
         translator: what translates from or into the language of that tool.
-        subjects: the subjects.
+        made: the translation; what is said about it comes first if a proof fails.
         distro: ROS 2 distribution.
-        said: what was said about the translation, which comes first if a proof fails.
 
     Raises:
         KeymintError: the build type compares no documents, a rule cannot be mapped, or documents are not proven to mean
@@ -129,7 +125,7 @@ def proofs_of(
     effort = ProofEffort(run.setting.monotonic)
     proofs: dict[str, Comparison] = {}
     refuted: list[Diagnostic] = []
-    for each in subjects:
+    for each in made.subjects:
         with effort.limit(each.rules.rules):
             comparison = reader.compare(each, distro, effort.states, effort.deadline())
         subject = each.rules.subject
@@ -143,7 +139,7 @@ def proofs_of(
             message = f"{subject}: not proven to permit what {translator.TOOL}'s document permits: {reason}"
             refuted.append(Diagnostic.error("import-unproven", message, None, help_, subject))
     if refuted:
-        raise KeymintError.of([*said, *refuted])
+        raise KeymintError.of([*made.diagnostics, *refuted])
     return proofs
 
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from functools import partial
 
@@ -11,7 +11,7 @@ from comarmor.errors import Diagnostic, Severity
 from keymint.api import LoadedPolicy, Proof
 from keymint.errors import ExitCode, KeymintError
 from keymint.names import name_of
-from keymint.stages.documents import HAND_EDITED, affected_packages
+from keymint.stages.documents import HAND_EDITED
 from keymint.stages.proof.proof_results import EnclaveProof, ProofEffort, dated_of, diagnostics_of, merged_packages
 from keymint.stages.proof.prove import NO_PROVER, STAGE, ProofStage
 from keymint.stages.work import Crew, InstallRequest, Work
@@ -32,21 +32,13 @@ def proof_stage(crew: Crew, policy: LoadedPolicy, request: InstallRequest) -> Ca
     return partial(ProofStage, policy=policy, effort=effort, unsigned=True)
 
 
-def proven(
-    crew: Crew,
-    unsigned: Session,
-    work: Work,
-    names: Sequence[str],
-    policy: LoadedPolicy,
-    request: InstallRequest,
-) -> Work:
+def proven(crew: Crew, work: Work, names: Collection[str], policy: LoadedPolicy, request: InstallRequest) -> Work:
     """Prove the enclaves that some work installs, and return the work with the cached proofs.
 
     Args:
         crew: who plans packages.
-        unsigned: the workspace before the installation, and its profile.
         work: what will be done.
-        names: the packages to install.
+        names: the packages to install, and those about which new shared documents decide.
         policy: the policy to prove.
         request: what the user asks for.
 
@@ -55,10 +47,8 @@ def proven(
     """
     session, plan = work.session, work.plan
     kept = work.of(INSTALLED).of_action(Action.KEPT, Action.REMOVED)
-    # New shared documents decide about enclaves that stay as they are, too.
-    names = [name for name in sorted({*names, *affected_packages(unsigned, session)}) if name not in kept]
     stage = proof_stage(crew, policy, request)(session)
-    results = stage.results(crew.planned(stage, names))
+    results = stage.results(crew.planned(stage, [name for name in sorted(names) if name not in kept]))
     diagnostics = diagnostics_of(results, strict=request.strict)
     of_vendors = {enclave.subject for enclave in results.enclaves if _holds(enclave, results.standards)}
     refused: list[Diagnostic] = []

@@ -4,16 +4,21 @@
 from __future__ import annotations
 
 import os
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from keymint.api.plugin_loader import Plugins
 from keymint.errors import KeymintError
+from keymint.pki.tokens.token_sessions import Pins, Tokens
 from keymint.run.execution import RECORD, Workers, execute, open_store
 from keymint.store.changes import Action, File, FolderChange, Plan, Step
 from keymint.store.journal import Journal
 from keymint.view.stamps import Stamp, State, load
+from keymint.view.tree import Tree
+from keymint.workspace.session import Inputs
 from keymint.workspace.workspace import Workspace
 
 
@@ -35,9 +40,16 @@ def run(plan: Plan, workspace: Workspace, *, before: State | None = None) -> lis
     done: list[str] = []
     execute(
         plan,
-        workspace,
+        Inputs(
+            workspace,
+            Tree(),
+            before or State(),
+            Plugins(()),
+            {},
+            datetime(2027, 1, 1, tzinfo=UTC),
+            Tokens({}, Pins({}).pin),
+        ),
         open_store(workspace),
-        before or State(),
         Workers(1, lambda: 0.0),
         lambda finished: done.append(f"{finished.stage} {finished.package}"),
         Journal("keymint build"),

@@ -16,6 +16,7 @@ from keymint.api.plugin_loader import Plugins
 from keymint.executors.cluster import Cluster, carry_out
 from keymint.pki.tokens.token_sessions import Tokens
 from keymint.stages.build import BuildStage, compile_elsewhere
+from keymint.stages.work import InstallRequest
 from keymint.view.stamps import State
 from keymint.view.tree import Tree
 from keymint.workspace.session import Inputs, Session
@@ -56,7 +57,7 @@ def built(session: Session, change: Callable[[bytes], bytes] = bytes, *, trusted
     names = packages(session.tree, session.workspace.src)
     pool = Cluster(session.plugins, CLOCK, here, 2, trusted=trusted)
     compile_elsewhere(pool, session, names, BuildOptions())
-    stage = BuildStage(session, BuildOptions(), force=True, renew=False)
+    stage = BuildStage(session, InstallRequest(force=True, build=BuildOptions()))
     plan = stage.plan([stage.package(name) for name in names])
     return here, not any(step.changes for step in plan.steps)
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from keymint.api import Claim, Comparison, ImportedSubject, Proof
+from keymint.api import Claim, Comparison, ImportedPolicy, ImportedSubject, Proof
 from keymint.commands.exchange.import_policy import diagnostics_of, is_same, proofs_of
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
@@ -31,7 +31,7 @@ def proofs(theirs: Proof, ours: Proof, *, deviates: bool = False) -> Mapping[str
     run: Any = SimpleNamespace(plugins=plugins, setting=SimpleNamespace(monotonic=lambda: 0.0))
     tool: Any = SimpleNamespace(BUILD_TYPE="any", TOOL="Other")
     subject = ImportedSubject(SubjectRules("/a", ()), b"", "CN=/a", deviates)
-    return proofs_of(run, tool, [subject], "jazzy", ())
+    return proofs_of(run, tool, ImportedPolicy(b"", (subject,), ()), "jazzy")
 
 
 def test_both_documents_must_be_proven_by_the_standard() -> None:
