@@ -96,7 +96,11 @@ class MintedAuthority:
         return self._keyed
 
 
-def plan_authorities(session: Session, new: Sequence[str] = ()) -> tuple[Plan, Mapping[str, MintedAuthority]]:
+Authorities = Mapping[str, MintedAuthority]
+"""The authorities of a workspace by name."""
+
+
+def plan_authorities(session: Session, new: Sequence[str] = ()) -> tuple[Plan, Authorities]:
     """Plan the keys and certificates of all authorities that the profile names.
 
     Existing keys are kept; a key in a token is never made here. A certificate without its key means that the key is

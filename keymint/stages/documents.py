@@ -17,7 +17,7 @@ from pathlib import Path
 from comarmor.errors import Diagnostic
 from comarmor.regex import lazy_regex
 from keymint import api
-from keymint.authority.authorities import MintedAuthority
+from keymint.authority.authorities import Authorities
 from keymint.authority.authority_files import trusted_chains
 from keymint.errors import KeymintError
 from keymint.names import subject_of
@@ -151,7 +151,7 @@ def build_shared(session: Session, name: str, options: api.BuildOptions) -> api.
 
 
 def sign_shared(
-    session: Session, name: str, documents: Mapping[str, bytes], authorities: Mapping[str, MintedAuthority]
+    session: Session, name: str, documents: Mapping[str, bytes], authorities: Authorities
 ) -> tuple[Mapping[str, api.Artifact], Mapping[str, bytes]]:
     """Return the files of shared documents to install by path relative to the install space, and the present ones.
 

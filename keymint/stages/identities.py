@@ -16,7 +16,7 @@ from cryptography import x509
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Artifact, Credentials, Package, SigningAuthority
-from keymint.authority.authorities import MintedAuthority
+from keymint.authority.authorities import Authorities, MintedAuthority
 from keymint.authority.authority_files import trusted_chains
 from keymint.errors import KeymintError, known_authority
 from keymint.life.package_issuance import place_of
@@ -159,7 +159,7 @@ def sign(
     session: Session,
     package: Package,
     documents: Mapping[str, bytes],
-    authorities: Mapping[str, MintedAuthority],
+    authorities: Authorities,
     key: tuple[bytes, keys.PublicKey],
     existing: Mapping[str, bytes],
 ) -> tuple[Mapping[str, Artifact], IssuedCertificate, Sequence[Diagnostic]]:
@@ -263,7 +263,7 @@ def _require_generation(session: Session, package: Package, register: Register) 
         )
 
 
-def authority_of(authorities: Mapping[str, MintedAuthority], name: str, origin: Origin) -> MintedAuthority:
+def authority_of(authorities: Authorities, name: str, origin: Origin) -> MintedAuthority:
     """Return an authority by its name.
 
     Args:

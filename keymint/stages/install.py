@@ -11,7 +11,7 @@ from cryptography import x509
 
 from comarmor.errors import Diagnostic, Severity
 from keymint.api import Package
-from keymint.authority.authorities import MintedAuthority
+from keymint.authority.authorities import Authorities
 from keymint.authority.authority_files import chains_digest
 from keymint.errors import KeymintError
 from keymint.life import revocation_lists_in_force, terms, workspace_register
@@ -75,7 +75,7 @@ class InstallStage(PackageStage):
 
     NAME = STAGE
 
-    def __init__(self, session: Session, authorities: Mapping[str, MintedAuthority], *, prune: bool) -> None:
+    def __init__(self, session: Session, authorities: Authorities, *, prune: bool) -> None:
         self._session = session
         self._authorities = authorities
         self._prune = prune
@@ -152,9 +152,7 @@ def _register(session: Session, planned: Sequence[PackagePlan]) -> tuple[FolderC
     return workspace_register.register_change(session, register.with_issued(issued).with_rights(signed))
 
 
-def _plan_enclave(
-    session: Session, name: str, authorities: Mapping[str, MintedAuthority], keyring: Keyring
-) -> PackagePlan:
+def _plan_enclave(session: Session, name: str, authorities: Authorities, keyring: Keyring) -> PackagePlan:
     workspace = session.workspace
     inputs = inputs_of(session, name)
     if inputs is None and is_built(session, name) and identities.is_awaited(session.package(name)):
@@ -231,7 +229,7 @@ def _plan_enclave(
 
 
 def _plan_shared(
-    session: Session, chosen: Collection[str], authorities: Mapping[str, MintedAuthority], removed: Sequence[str]
+    session: Session, chosen: Collection[str], authorities: Authorities, removed: Sequence[str]
 ) -> list[PackagePlan]:
     """Return the plans for the installed documents over all packages of each build type.
 
@@ -254,9 +252,7 @@ def _plan_shared(
     return [*planned, *obsolete_documents(session, STAGE, session.workspace.install)]
 
 
-def _plan_shared_documents(
-    session: Session, key: str, authorities: Mapping[str, MintedAuthority], removed: Sequence[str]
-) -> PackagePlan:
+def _plan_shared_documents(session: Session, key: str, authorities: Authorities, removed: Sequence[str]) -> PackagePlan:
     stale: list[Diagnostic] = []
     if not is_build_current(session, key):
         paths = (documents_folder(session, key) / path for path in session.state.stamps[BUILD][key].outputs)
@@ -350,7 +346,7 @@ def is_current(session: Session, name: str) -> bool:
     return stamp is not None and stamp.inputs == inputs_of(session, name) and has_outputs(session, folder, stamp)
 
 
-def would_stay(session: Session, name: str, authorities: Mapping[str, MintedAuthority]) -> bool:
+def would_stay(session: Session, name: str, authorities: Authorities) -> bool:
     """Tell whether installing an enclave again would change nothing, e.g. as a list changed that it does not have.
 
     Args:

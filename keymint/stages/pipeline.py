@@ -17,7 +17,7 @@ from typing import Any, cast
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
 from keymint.api import BuildOptions, LoadedPolicy, Role
-from keymint.authority.authorities import MintedAuthority, plan_authorities
+from keymint.authority.authorities import Authorities, plan_authorities
 from keymint.authority.authority_files import current_rollover, trusted_chains
 from keymint.life.examine import RIGHTS_OUTLIVE
 from keymint.life.package_issuance import plan_revocation
@@ -44,6 +44,10 @@ from keymint.workspace.session import Session, once
 CREATE, INSTALL, PROVE = CreateStage.NAME, InstallStage.NAME, ProofStage.NAME
 AUTHORITIES, LISTS = "authorities", "lists"
 """Parts of the work beside the stages: the keys and certificates of authorities, and their revocation lists."""
+
+
+_Stages = Mapping[str, Callable[..., Any]]
+"""What makes each stage for a workspace, by its name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +175,7 @@ def _proves(request: Request) -> bool:
     return INSTALL in request.stages and request.options.prove
 
 
-def _with_authorities(work: Work, request: Request) -> tuple[Work, Mapping[str, MintedAuthority]]:
+def _with_authorities(work: Work, request: Request) -> tuple[Work, Authorities]:
     """Return the work with the authorities and their revocation lists, and the authorities by name."""
     minted, authorities = plan_authorities(work.session, request.options.new_authority)
     work = work.then(minted, AUTHORITIES)
@@ -184,9 +188,7 @@ def _with_authorities(work: Work, request: Request) -> tuple[Work, Mapping[str, 
     return work.then(listed, LISTS), authorities
 
 
-def _stages(
-    request: Request, authorities: Mapping[str, MintedAuthority], crew: Crew
-) -> Mapping[str, Callable[..., Any]]:
+def _stages(request: Request, authorities: Authorities, crew: Crew) -> _Stages:
     """Return what makes each stage of a request for a workspace; that of the proof if its policy is known already."""
     options, policy = request.options, request.policy
     stages: dict[str, Callable[..., Any]] = {}
@@ -202,9 +204,7 @@ def _stages(
     return stages
 
 
-def _share(
-    session: Session, names: Sequence[str], stages: Mapping[str, Callable[..., Any]], request: Request, crew: Crew
-) -> None:
+def _share(session: Session, names: Sequence[str], stages: _Stages, request: Request, crew: Crew) -> None:
     """Let a cluster compile the rules of some packages, and processes plan them; these begin at once."""
     options = request.options
     if crew.compile_elsewhere and BUILD in stages:

@@ -9,7 +9,7 @@ and documents of that time. Only its files are written, and nothing that the wor
 from __future__ import annotations
 
 import stat
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from comarmor.text import quantity
 from comarmor.values import dataclass
 from keymint.api import Phase
 from keymint.authority import rollover
-from keymint.authority.authorities import MintedAuthority, authority_named, plan_authorities
+from keymint.authority.authorities import Authorities, authority_named, plan_authorities
 from keymint.authority.authority_changes import GivenAuthority, refusing_implementations
 from keymint.authority.authority_files import FORMER, NEXT
 from keymint.errors import KeymintError, usage_error
@@ -86,7 +86,7 @@ def in_step(crew: Crew, session: Session, plan: Plan) -> Plan:
     return plan
 
 
-def session_ahead(session: Session, name: str) -> tuple[Session, Mapping[str, MintedAuthority]]:
+def session_ahead(session: Session, name: str) -> tuple[Session, Authorities]:
     """Return the session and the authorities as they will be, with the second keystore as the one in force.
 
     Args:
