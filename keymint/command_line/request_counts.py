@@ -13,9 +13,9 @@ from __future__ import annotations
 
 import csv
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
-from comarmor.errors import Defects, Diagnostic, Origin
+from comarmor.errors import Defects, Origin
 from comarmor.rules import KIND_OF
 from comarmor.text import did_you_mean, quantity
 from keymint.api import Hint, graph_json
@@ -56,23 +56,6 @@ def load_hints(content: bytes, name: str) -> tuple[Hint, ...]:
         raise _error(name, rows.line_num, f"not CSV: {error}") from None
     defects.require_none()
     return tuple(Hint(edge, times) for edge, times in sorted(counts.items()))
-
-
-def unknown_subjects(hints: Sequence[Hint], known: Sequence[str], name: str) -> Iterator[Diagnostic]:
-    """Yield a warning for each subject of the hints that is not in the workspace.
-
-    Args:
-        hints: the hints.
-        known: the subjects of the workspace.
-        name: the file of the hints, for messages.
-    """
-    for subject in sorted({each.edge.subject for each in hints} - set(known)):
-        yield Diagnostic.warning(
-            "hints-subject",
-            f"the hints name {subject}, which is not a subject of this workspace",
-            Origin(name),
-            did_you_mean(subject, known),
-        )
 
 
 def _counted(columns: Sequence[str], fields: Sequence[str], name: str, line: int) -> tuple[Edge, int]:

@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import click
 
-from comarmor.errors import Diagnostic
+from comarmor.errors import Diagnostic, Origin
+from comarmor.text import did_you_mean
 from keymint.analysis.lint.attachment_mistakes import attachment_mistakes
 from keymint.api import BuildOptions, Hint, LoadedPolicy
 from keymint.command_line.named_files import read_input
@@ -47,7 +48,7 @@ def build(
         def notes(work: Work) -> Iterator[Diagnostic]:
             yield from policy_changed(session) if chosen else (no_packages(session),)
             yield from policy_slips(session, work.plan.steps)
-            yield from unknown_hints(options, document_options.hints, run.names(session, ()))
+            yield from unknown_hints(options.hints, document_options.hints, run.names(session, ()))
 
         asked = InstallRequest(force=force, renew=renew and not run.resumes, build=options)
         return conduct(Work(session), Request(chosen, (BUILD,), asked, notes=notes), run.crew).plan
@@ -65,13 +66,18 @@ def no_packages(session: Session) -> Diagnostic:
     )
 
 
-def unknown_hints(options: BuildOptions, file: Path | None, names: Sequence[str]) -> tuple[Diagnostic, ...]:
+def unknown_hints(hints: Iterable[Hint], file: Path | None, names: Iterable[str]) -> tuple[Diagnostic, ...]:
     """Return a warning for each subject of the hints in a file without a package."""
-    if not options.hints:
-        return ()
-    from keymint.command_line.request_counts import unknown_subjects  # noqa: PLC0415 - few builds have hints
-
-    return tuple(unknown_subjects(options.hints, [subject_of(name) for name in names], str(file)))
+    known = [subject_of(name) for name in names]
+    return tuple(
+        Diagnostic.warning(
+            "hints-subject",
+            f"the hints name {subject}, which is not a subject of this workspace",
+            Origin(str(file)),
+            did_you_mean(subject, known),
+        )
+        for subject in sorted({each.edge.subject for each in hints}.difference(known))
+    )
 
 
 def build_options(run: Run, given: DocumentOptions) -> BuildOptions:

@@ -71,7 +71,7 @@ def provision(
             raise no_subject(
                 "attach a profile to a name without wildcards, or use 'keymint create NAME'", Origin(str(policy))
             )
-        unknown = unknown_hints(options, document_options.hints, (*names, *work.session.needed_infrastructure()))
+        unknown = unknown_hints(options.hints, document_options.hints, (*names, *work.session.needed_infrastructure()))
         everything = Request(
             names,
             (CREATE, BUILD, INSTALL),

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from keymint.api import Hint, graph_json
 from keymint.api.graph import Edge, Graph, Object
-from keymint.command_line.request_counts import load_hints, unknown_subjects
+from keymint.command_line.request_counts import load_hints
 from keymint.errors import KeymintError
 
 HEAD = "subject,permission,object,count\n"
@@ -69,10 +69,3 @@ def test_what_is_wrong_is_said_with_its_line(text, said) -> None:
 def test_every_line_that_is_wrong_is_said() -> None:
     lines = refused(f"{HEAD}/talker,ros_publish,/a,x\n/talker,ros_publish,/b,1\n/9,ros_publish,/c,1\n")
     assert [line.split(": ")[0] for line in lines] == ["hints.csv:2", "hints.csv:4"]
-
-
-def test_a_subject_that_is_not_there_is_a_warning() -> None:
-    hints = [Hint(Edge("/talkr", "ros_publish", Object("ros_topic", "/a")), 1)]
-    (found,) = unknown_subjects(hints, ["/talker", "/listener"], "hints.csv")
-    assert "did you mean '/talker'?" in str(found)
-    assert found.severity == "warning"
