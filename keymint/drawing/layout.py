@@ -49,7 +49,6 @@ class NodeBox:
         kind: ``subject``, or the object's kind.
         label: text inside the box.
         mark: a second line of text, or empty.
-        title: full text.
         x: left edge, in pixels.
         y: top edge.
         width: in pixels.
@@ -59,7 +58,6 @@ class NodeBox:
     key: NodeKey
     kind: str
     label: str
-    title: str
     x: float
     y: float
     width: float
@@ -152,11 +150,8 @@ def lay_out(
         longest = {key: max(columns(labels[key]), columns(seconds.get(key, ""))) for key in stack}
         width = max((longest[key] * CHARACTER + 2 * _PADDING + _BULLET for key in stack), default=0.0)
         for key in stack:
-            if isinstance(key, str):
-                kind, title = "subject", one_line(key)
-            else:
-                kind, title = key[1].kind, f"{object_name(key[1], key[0])} ({KINDS[key[1].kind]})"
-            boxes[key] = NodeBox(key, kind, labels[key], title, x, tops[key], width, heights[key], seconds.get(key, ""))
+            kind = "subject" if isinstance(key, str) else key[1].kind
+            boxes[key] = NodeBox(key, kind, labels[key], x, tops[key], width, heights[key], seconds.get(key, ""))
         x += width + gap
     height = max((box.y + box.height for box in boxes.values()), default=0.0)
     return Panel(heading, tuple(boxes.values()), _lines(edges, boxes, sides), max(0.0, x - gap), height)

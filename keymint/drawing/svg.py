@@ -99,58 +99,46 @@ def draw(labelled: LabelledGraph, options: DrawingOptions, number: NodeNumber | 
     marks = {name: f"+{len(common)} common" for name, common in drawn.marks.items()}
     panels = [lay_out(*part, names, marks) for part in _parts(drawn)]
     width = max((_LEAST_WIDTH, *(panel.width for panel in panels)))
-    sizes = [
-        (
-            max(panel.width, columns(panel.heading) * CHARACTER * 13 / 12),
-            panel.height + (LINE if panel.heading else 0.0),
-        )
-        for panel in panels
-    ]
+    widths = [max(panel.width, columns(panel.heading) * CHARACTER * 13 / 12) for panel in panels]
+    headings = [LINE if panel.heading else 0.0 for panel in panels]
+    heights = [panel.height + heading for panel, heading in zip(panels, headings, strict=True)]
     most = max(width, _SHEET) if len(panels) > 1 else width
-    places, sheet_width, sheet_height = _in_rows(sizes, most, _PANEL_GAP)
+    places, sheet_width, sheet_height = _in_rows(zip(widths, heights, strict=True), most, _PANEL_GAP)
     width = max(sheet_width, _LEAST_WIDTH)
-    entries = [*legend(drawn, panels)]
-    sizes = [(40 + columns(text) * CHARACTER + 18, LINE) for text, _, _ in entries]
-    entry_places, _, legend_height = _in_rows(sizes, width, 0.0)
+    samples, legend_height = _place_entries([*legend(drawn, panels)], width)
     subtitle = _subtitle(drawn)
     subtitles = textwrap.wrap(subtitle, int(width / CHARACTER), break_long_words=False, break_on_hyphens=False)
     top = MARGIN + (1 + len(subtitles)) * LINE
     legend_top = top + 4
     panel_top = legend_top + legend_height + 18
     left = MARGIN + (max(0.0, width - sheet_width) / 2)
-    return (
-        environment()
-        .get_template("picture.svg.j2")
-        .render(
-            title=one_line(labelled.title),
-            heading=shorten(one_line(labelled.title), int(width / (CHARACTER * 15 / 12))),
-            subtitle=subtitle,
-            subtitles=[(text, MARGIN + 34 + at * LINE) for at, text in enumerate(subtitles)],
-            style=None if number else style_sheet(options.theme),
-            standalone=number is None,
-            width=_number(width + 2 * MARGIN),
-            height=_number(panel_top + sheet_height + MARGIN),
-            margin=MARGIN,
-            legend=[
-                {"text": text, "classes": classes, "form": form, "x": round(x, 1), "y": y}
-                for (text, classes, form), (x, y) in zip(entries, entry_places, strict=True)
-            ],
-            legend_top=legend_top,
-            rule_y=panel_top - 12,
-            panels=[
-                {
-                    "heading": panel.heading,
-                    "x": left + x,
-                    "y": panel_top + y + (LINE if panel.heading else 0.0),
-                    "lines": [
-                        _line(line, drawn, number)
-                        for line in sorted(panel.lines, key=lambda line: -priority(line.labelled, options.transport))
-                    ],
-                    "boxes": [_box(box, drawn, number) for box in panel.boxes],
-                }
-                for panel, (x, y) in zip(panels, places, strict=True)
-            ],
-        )
+    template = environment().get_template("picture.svg.j2")
+    return template.render(
+        title=one_line(labelled.title),
+        heading=shorten(one_line(labelled.title), int(width / (CHARACTER * 15 / 12))),
+        subtitle=subtitle,
+        subtitles=[(text, MARGIN + 34 + at * LINE) for at, text in enumerate(subtitles)],
+        style=None if number else style_sheet(options.theme),
+        standalone=number is None,
+        width=_number(width + 2 * MARGIN),
+        height=_number(panel_top + sheet_height + MARGIN),
+        margin=MARGIN,
+        legend=samples,
+        legend_top=legend_top,
+        rule_y=panel_top - 12,
+        panels=[
+            {
+                "heading": panel.heading,
+                "x": left + x,
+                "y": panel_top + y + heading,
+                "lines": [
+                    _line(line, drawn, number)
+                    for line in sorted(panel.lines, key=lambda line: -priority(line.labelled, options.transport))
+                ],
+                "boxes": [_box(box, drawn, number) for box in panel.boxes],
+            }
+            for panel, (x, y), heading in zip(panels, places, headings, strict=True)
+        ],
     )
 
 
@@ -217,9 +205,9 @@ def _subtitle(drawn: SimplifiedGraph) -> str:
 def _box(box: NodeBox, drawn: SimplifiedGraph, number: NodeNumber | None) -> dict[str, object]:
     key, labelled = box.key, drawn.labelled
     members: Sequence[NodeKey] = drawn.groups[key] if isinstance(key, str) else drawn.members[key]
-    title = box.title
-    if len(members) > 1:
-        title = "\n".join(one_line(one) if isinstance(one, str) else object_name(one[1], one[0]) for one in members)
+    title = "\n".join(one_line(one) if isinstance(one, str) else object_name(one[1], one[0]) for one in members)
+    if not isinstance(key, str) and len(members) == 1:
+        title += f" ({KINDS[box.kind]})"
     pattern = not isinstance(key, str) and key[1] in labelled.patterns
     group = isinstance(key, str) and len(members) > 1
     common = [sentence(one, labelled.transports) for one in drawn.marks.get(key, ())] if isinstance(key, str) else []
@@ -320,3 +308,14 @@ def legend(drawn: SimplifiedGraph, panels: Sequence[Panel]) -> Iterator[LegendEn
         yield ("AUDIT rule", "audited", "dot")
     if drawn.marks:
         yield ("what every node may do (--common draws it)", "muted", "mark")
+
+
+def _place_entries(entries: Sequence[LegendEntry], width: float) -> tuple[list[dict[str, object]], float]:
+    """Place entries in lines of a width in pixels; return them and their total height."""
+    sizes = [(40 + columns(text) * CHARACTER + 18, LINE) for text, _, _ in entries]
+    places, _, height = _in_rows(sizes, width, 0.0)
+    samples: list[dict[str, object]] = [
+        {"text": text, "classes": classes, "form": form, "x": round(x, 1), "y": y}
+        for (text, classes, form), (x, y) in zip(entries, places, strict=True)
+    ]
+    return samples, height
