@@ -17,7 +17,7 @@ from itertools import accumulate
 from comarmor.text import one_line
 from comarmor.values import dataclass
 from keymint.api.graph import DomainObject, Object
-from keymint.drawing.appearance import KINDS, columns, directions, object_name, shorten
+from keymint.drawing.appearance import KINDS, columns, object_name, shorten
 from keymint.drawing.labelled_graph import LabelledEdge
 
 CHARACTER = 7.3
@@ -75,8 +75,6 @@ class EdgeLine:
         y1: at the subject.
         x2: at the object.
         y2: at the object.
-        outward: has an arrowhead at the object.
-        inward: has an arrowhead at the subject.
     """
 
     labelled: LabelledEdge
@@ -84,8 +82,6 @@ class EdgeLine:
     y1: float
     x2: float
     y2: float
-    outward: bool
-    inward: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,6 +273,5 @@ def _lines(
         x1, x2 = subject.x + subject.width, object_.x
         if subject.x >= object_.x:
             x1, x2 = subject.x, object_.x + object_.width
-        ends = (x1, at[subject.key, one], x2, at[object_.key, one])
-        lines.append(EdgeLine(one, *ends, *directions(one.edge.permission)))
+        lines.append(EdgeLine(one, x1, at[subject.key, one], x2, at[object_.key, one]))
     return tuple(lines)

@@ -19,6 +19,7 @@ from keymint.drawing.appearance import (
     OUTCOMES,
     OUTWARD,
     columns,
+    directions,
     edge_classes,
     object_name,
     role,
@@ -225,19 +226,20 @@ def _box(box: NodeBox, drawn: SimplifiedGraph, number: NodeNumber | None) -> dic
 def _line(line: EdgeLine, drawn: SimplifiedGraph, number: NodeNumber | None) -> dict[str, object]:
     outcome = line.labelled.outcome(drawn.options.transport)
     size = _HEAD * (1.25 if outcome.false else 1.0)
+    edge, transports = line.labelled.edge, drawn.labelled.transports
+    outward, inward = directions(edge.permission)
     forward = math.copysign(1.0, line.x2 - line.x1)
-    start = line.x1 + (size * forward if line.inward else 0.0)
-    end = line.x2 - (size * forward if line.outward else 0.0)
+    start = line.x1 + (size * forward if inward else 0.0)
+    end = line.x2 - (size * forward if outward else 0.0)
     bend = _BEND * (end - start)
     curve = f"M{_number(start)} {_number(line.y1)}C{_number(start + bend)} {_number(line.y1)} "
     curve += f"{_number(end - bend)} {_number(line.y2)} {_number(end)} {_number(line.y2)}"
     barred = outcome is not EdgeOutcome.UNLABELLED and not outcome.allowed
     heads = []
-    if line.outward:
+    if outward:
         heads.append(_head(line.x2, line.y2, forward * size, barred=barred))
-    if line.inward:
+    if inward:
         heads.append(_head(line.x1, line.y1, -forward * size, barred=barred))
-    edge, transports = line.labelled.edge, drawn.labelled.transports
     return {
         "outcome": outcome,
         "classes": f"edge {edge_classes(outcome, labels=bool(transports))}",
