@@ -12,7 +12,7 @@ import pytest
 
 from keymint.api.plugin_loader import Plugins
 from keymint.errors import KeymintError
-from keymint.pki.tokens.token_sessions import Pins, Tokens
+from keymint.pki.tokens.token_sessions import Tokens
 from keymint.run.execution import RECORD, Workers, execute, open_store
 from keymint.store.changes import Action, File, FolderChange, Plan, Step
 from keymint.store.journal import Journal
@@ -47,7 +47,7 @@ def run(plan: Plan, workspace: Workspace, *, before: State | None = None) -> lis
             Plugins(()),
             {},
             datetime(2027, 1, 1, tzinfo=UTC),
-            Tokens({}, Pins({}).pin),
+            Tokens({}),
         ),
         open_store(workspace),
         Workers(1, lambda: 0.0),
