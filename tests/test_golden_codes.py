@@ -41,7 +41,7 @@ F_STRINGS = {
     "f'unknown-{what}'": each_of("unknown", "kind permission"),
 }
 """The f-strings that give codes, and their values."""
-NO_CODES = {"32", "expired", "keymint-graph", "ls-files", "not-yet-valid", "python-pkcs11"}
+NO_CODES = {"32", "expired", "keymint-graph", "keymint-tools", "ls-files", "not-yet-valid", "python-pkcs11"}
 NO_CODES |= {"slot-description", "slot-id", "slot-manufacturer", "utf-8", "utf-8-sig"}
 """Literals in the files of variables, and parts of codes, which look like codes."""
 

@@ -213,6 +213,10 @@ class Tunable:
         return self.where.spot, self.name
 
 
+def _tunable_error(name: str, problem: str, where: Origin | None, help_: str = "") -> ComArmorError:
+    return ComArmorError(f"the tunable @{{{name}}} {problem}", where=where, help=help_, code="tunable")
+
+
 @dataclass(slots=True)
 class ExpansionBudget:
     """The characters that a policy's expanded expressions use, its tunables, and the keys of those that are used.
@@ -250,28 +254,19 @@ class TunableScope:
                 the tunable itself, or is wrong.
         """
         if name in self.own:
-            raise ComArmorError(
-                f"the tunable @{{{name}}} is declared twice in this scope",
-                where=where,
-                help=f"the first declaration is at {self.own[name].where}",
-                code="tunable",
-            )
+            first = f"the first declaration is at {self.own[name].where}"
+            raise _tunable_error(name, "is declared twice in this scope", where, first)
         if name in self.passed:
             outer, use = self.passed[name]
-            raise ComArmorError(
-                f"the tunable @{{{name}}} is declared after its use at {use}, which refers to the one "
-                f"declared at {outer.where}",
-                where=where,
-                help="declare it above its use, or give it another name",
-                code="tunable",
-            )
+            problem = f"is declared after its use at {use}, which refers to the one declared at {outer.where}"
+            raise _tunable_error(name, problem, where, "declare it above its use, or give it another name")
         # Declared even if defective, so that its uses are not reported as well.
         self.own[name] = Tunable(name, (), where)
         expanded: dict[Value, None] = {}
         for value in values:
             pieces = parse(value)
             if TunableReference(name) in pieces:
-                raise ComArmorError(f"the tunable @{{{name}}} refers to itself", where=where, code="tunable")
+                raise _tunable_error(name, "refers to itself", where)
             expanded.update(dict.fromkeys(expand(pieces, partial(self.values, where=where))))
             if len(expanded) > MOST_VALUES:
                 raise ComArmorError(f"the tunable has more than the {MOST_VALUES:,} values allowed", code="tunable")
@@ -296,11 +291,8 @@ class TunableScope:
             passed.append(scope)
             scope = scope.outer
         known = dict.fromkeys(known for scope in passed for known in scope.own)
-        raise ComArmorError(
-            f"the tunable @{{{name}}} is unknown here",
-            help=did_you_mean(name, known, "declare it with <tunable> above its use"),
-            code="tunable",
-        )
+        help_ = did_you_mean(name, known, "declare it with <tunable> above its use")
+        raise _tunable_error(name, "is unknown here", None, help_)
 
     def expand(self, text: str, where: Origin) -> tuple[Value, ...]:
         """Return the expansions of an attachment.

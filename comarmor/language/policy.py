@@ -51,8 +51,6 @@ class Row(ABC):
         parts: the rows of the parts of a composite permission, each with what follows the object's name.
     """
 
-    __slots__ = ("kind", "parts", "permission")
-
     def __init__(self, kind: str, permission: str, parts: Sequence[tuple[Row, str]] = ()) -> None:
         self.kind = kind
         self.permission = permission
@@ -82,8 +80,6 @@ class Row(ABC):
 
 class _ElementaryRow(Row):
     """The rules that concern a permission without parts, also as a part of one of theirs."""
-
-    __slots__ = ("_beginnings", "_exact", "_rules", "_rulings", "_wild")
 
     def __init__(self, rules: Sequence[Rule], kind: str, permission: str) -> None:
         super().__init__(kind, permission)
@@ -146,8 +142,6 @@ class _ElementaryRow(Row):
 
 class _CompositeRow(Row):
     """The rules that concern the parts of a composite permission; all parts must be allowed."""
-
-    __slots__ = ()
 
     def ruling(self, name: str, partitions: Sequence[str] = ()) -> Ruling:
         rules: dict[Rule, None] = {}

@@ -142,15 +142,11 @@ _Excluded = tuple["_Opposites", int]
 
 def _without_covered(patterns: Iterable[Glob]) -> tuple[Glob, ...]:
     """Return patterns without the literals that another pattern matches."""
-    distinct = tuple(dict.fromkeys(patterns))
-    if all(literal(pattern) is None for pattern in distinct):
-        return distinct
-    wild = [matcher(pattern) for pattern in distinct if literal(pattern) is None]
-    return tuple(
-        pattern
-        for pattern in distinct
-        if (text := literal(pattern)) is None or not any(matches(text) for matches in wild)
-    )
+    texts = {pattern: literal(pattern) for pattern in patterns}
+    if set(texts.values()) == {None}:
+        return tuple(texts)
+    wild = [matcher(pattern) for pattern, text in texts.items() if text is None]
+    return tuple(each for each, text in texts.items() if text is None or not any(matches(text) for matches in wild))
 
 
 class _Opposites:

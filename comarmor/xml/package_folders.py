@@ -91,7 +91,7 @@ class InstalledPackages:
     @property
     def relative_prefixes(self) -> tuple[str, ...]:
         """Those of the prefixes that are relative paths."""
-        return tuple(prefix for prefix in self.prefixes if not _is_absolute(prefix))
+        return tuple(prefix for prefix in self.prefixes if not prefix.startswith("/"))
 
     def folder(self, package: str, where: Origin) -> SandboxedFolder:
         """Return the folder of the profiles that a package ships.
@@ -104,8 +104,7 @@ class InstalledPackages:
             ComArmorError: there is no such package, or it ships no profiles, or its folder cannot be used.
         """
         prefix = self._prefix(package, where)
-        share = Path(prefix, "share", package)
-        place = share / _KEYMINT / _PROFILES
+        place = Path(prefix, "share", package, _KEYMINT, _PROFILES)
         shown = f"'{path_text(str(place))}'"
         with file_errors(shown, where):
             expected, real = Path(prefix).resolve() / "share" / package, place.resolve()
@@ -149,14 +148,14 @@ class InstalledPackages:
         """
         by_prefix = {prefix: frozenset(_names(prefix)) for prefix in self.prefixes}
         for name in sorted(frozenset().union(*by_prefix.values())):
-            having = [each for each in self.prefixes if _is_absolute(each) and _found_in(each, name)]
+            having = [each for each in self.prefixes if each.startswith("/") and _found_in(each, name)]
             for prefix in (each for each in having if name in by_prefix[each]):
                 folder = Path(prefix, "share", name, _KEYMINT, _PROFILES)
                 yield name, folder, _files(folder), "" if prefix == having[0] else having[0]
 
     def _prefix(self, package: str, where: Origin) -> str:
         for prefix in self.prefixes:
-            if not _is_absolute(prefix):
+            if not prefix.startswith("/"):
                 raise ComArmorError(
                     f"{SEARCH_PATH} has the relative path {quote(prefix, 200)}, expected absolute ones only",
                     where=where,
@@ -206,13 +205,9 @@ def _found_in(prefix: str, package: str) -> bool:
         return True
 
 
-def _is_absolute(prefix: str) -> bool:
-    return prefix.startswith("/")
-
-
 def _names(prefix: str) -> Iterator[str]:
     """Yield the names of the packages of a prefix that have a folder for Keymint."""
-    if not _is_absolute(prefix):
+    if not prefix.startswith("/"):
         return
     try:
         with os.scandir(Path(prefix, "share")) as entries:

@@ -271,10 +271,36 @@ class Plugins:
             KeymintError: no plugin has this name, two distributions provide it, it fails to load, or it is of
                 another major version of the plugin interface, or of another class.
         """
-        key = (group, name)
-        if key not in self._loaded:
-            self._loaded[key] = self._load(group, name, where)
-        return self._loaded[key]
+        if (group, name) in self._loaded:
+            return self._loaded[group, name]
+        self.require(group, name, where, ExitCode.FAILURE)
+
+        def refusal(defect: str, help_: str, code: str) -> KeymintError:
+            return KeymintError(f"the {_kind(group)} {name!r} {defect}", where=where, help=help_, code=code)
+
+        entries = self._entries[group][name]
+        if len(entries) > 1:
+            brought_by = " and ".join(sorted(map(_brought_by, entries)))
+            raise refusal(f"is provided by {brought_by}", "uninstall all but one", "plugin-doubled")
+        entry = entries[0]
+        try:
+            module, _, attribute = entry.target.partition(" ")[0].partition(":")
+            plugin: object = functools.reduce(getattr, filter(None, attribute.split(".")), import_module(module))
+        except Exception as error:
+            defect = f"({entry.target}) fails to load: {type(error).__name__}: {error}"
+            raise refusal(defect, f"reinstall {_source(entry)}", "plugin-broken") from error
+        version, base = getattr(plugin, "API", None), GROUPS[group]
+        defect = ""
+        if not isinstance(version, str) or version.partition(".")[0] != API_VERSION.partition(".")[0]:
+            defect = f"implements version {version!r} of the plugin interface, this Keymint needs {API_VERSION!r}"
+        elif not isinstance(plugin, base):
+            defect = f"is no {base.__name__} of keymint.api"
+        if defect:
+            other = f"install a version of {entry.distribution or 'it'} for this Keymint"
+            help_ = f"{other}, or change its code as docs/migrating-plugins.md says"
+            raise refusal(f"({entry.target}) {defect}", help_, "plugin-version")
+        self._loaded[group, name] = plugin
+        return plugin
 
     def require(self, group: str, name: str, where: Origin | None = None, exit_code: ExitCode = ExitCode.USAGE) -> None:
         """Require that a plugin is installed, without loading it.
@@ -297,42 +323,3 @@ class Plugins:
                 code="plugin-unknown",
                 exit_code=exit_code,
             )
-
-    def _load(self, group: str, name: str, where: Origin | None) -> object:
-        self.require(group, name, where, ExitCode.FAILURE)
-        kind = _kind(group)
-        entries = self._entries[group][name]
-        if len(entries) > 1:
-            brought_by = " and ".join(sorted(map(_brought_by, entries)))
-            raise KeymintError(
-                f"the {kind} {name!r} is provided by {brought_by}",
-                where=where,
-                help="uninstall all but one",
-                code="plugin-doubled",
-            )
-        entry = entries[0]
-        try:
-            module, _, attribute = entry.target.partition(" ")[0].partition(":")
-            plugin: object = functools.reduce(getattr, filter(None, attribute.split(".")), import_module(module))
-        except Exception as error:
-            raise KeymintError(
-                f"the {kind} {name!r} ({entry.target}) fails to load: {type(error).__name__}: {error}",
-                where=where,
-                help=f"reinstall {_source(entry)}",
-                code="plugin-broken",
-            ) from error
-        version, base = getattr(plugin, "API", None), GROUPS[group]
-        defect = ""
-        if not isinstance(version, str) or version.partition(".")[0] != API_VERSION.partition(".")[0]:
-            defect = f"implements version {version!r} of the plugin interface, this Keymint needs {API_VERSION!r}"
-        elif not isinstance(plugin, base):
-            defect = f"is no {base.__name__} of keymint.api"
-        if defect:
-            raise KeymintError(
-                f"the {kind} {name!r} ({entry.target}) {defect}",
-                where=where,
-                help=f"install a version of {entry.distribution or 'it'} for this Keymint, "
-                "or change its code as docs/migrating-plugins.md says",
-                code="plugin-version",
-            )
-        return plugin
