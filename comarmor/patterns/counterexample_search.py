@@ -8,6 +8,7 @@ Such words are a union of cubes "matches p, and q, and none of these". This modu
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import field
 from functools import cached_property
 
 from comarmor.patterns.decision_lists import DecisionList, Universe
@@ -16,6 +17,7 @@ from comarmor.patterns.evaluate import Evaluator, shortest
 from comarmor.patterns.glob import Glob, literal, matcher
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.relations import disjoint, ends_differ
+from comarmor.values import dataclass
 
 ROUNDS = 16
 """Searches of a cube with a part of its excluded patterns, before all of them are used."""
@@ -25,10 +27,11 @@ _Ranked = tuple[Glob, int]
 """A pattern of a list, and the number of its block, which decides words that match unless an earlier opposite does."""
 
 
+@dataclass(slots=True, eq=False)
 class CounterexampleSearch:
     """Searches for the shortest word that all of some lists permit and another list denies.
 
-    Args:
+    Attributes:
         permitting: the lists that permit.
         denying: the list that denies.
         universe: the words of the question.
@@ -36,22 +39,18 @@ class CounterexampleSearch:
         count_state: called for every state.
     """
 
-    def __init__(
-        self,
-        permitting: Sequence[DecisionList],
-        denying: DecisionList,
-        universe: Universe,
-        derivatives: Callable[[], Derivatives],
-        count_state: Callable[[], None],
-    ) -> None:
-        self._permitting = permitting
-        self._denying = denying
-        self._universe = universe
-        self._derivatives = derivatives
-        self._count_state = count_state
-        self._permits = [_Opposites(each, allows=False) for each in permitting]
-        self._denies = _Opposites(denying, allows=True)
-        self._relevant_denials: dict[int, PatternIndex[int]] = {}
+    permitting: Sequence[DecisionList]
+    denying: DecisionList
+    universe: Universe
+    derivatives: Callable[[], Derivatives]
+    count_state: Callable[[], None]
+    _permits: list[_Opposites] = field(init=False)
+    _denies: _Opposites = field(init=False)
+    _relevant_denials: dict[int, PatternIndex[int]] = field(init=False, default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._permits = [_Opposites(each, allows=False) for each in self.permitting]
+        self._denies = _Opposites(self.denying, allows=True)
 
     def shortest(self, limit: int | None = None) -> str | None:
         """Return the shortest word, or None.
@@ -72,13 +71,13 @@ class CounterexampleSearch:
 
     def _among_literals(self) -> str | None:
         """Return the shortest word among the literal patterns."""
-        permitting = [Evaluator(each) for each in self._permitting]
-        denying = Evaluator(self._denying)
+        permitting = [Evaluator(each) for each in self.permitting]
+        denying = Evaluator(self.denying)
         words: set[str] = set().union(*(each.literals for each in (*permitting, denying)))
         return shortest(
             word
             for word in words
-            if all(each.permits(word) for each in permitting) and not denying.permits(word) and word in self._universe
+            if all(each.permits(word) for each in permitting) and not denying.permits(word) and word in self.universe
         )
 
     def _cubes(self, bound: int | None) -> Iterator[tuple[list[Glob], list[_Excluded]]]:
@@ -89,20 +88,20 @@ class CounterexampleSearch:
         for chosen in self._choices(0, ()):
             positives = [pattern for pattern, _ in chosen]
             excluded = [(own, block) for own, (_, block) in zip(self._permits, chosen, strict=True)]
-            yield positives, [*excluded, (self._denies, len(self._denying))]
+            yield positives, [*excluded, (self._denies, len(self.denying))]
             for denial, block in self._relevant(chosen[0][1], bound).candidates(positives[0]):
-                self._count_state()
+                self.count_state()
                 if not any(disjoint(denial, each) for each in positives):
                     yield [*positives, denial], [*excluded, (self._denies, block)]
 
     def _choices(self, number: int, chosen: tuple[_Ranked, ...]) -> Iterator[tuple[_Ranked, ...]]:
         """Yield one allowing pattern of each list, if a word may match all of them."""
-        if number == len(self._permitting):
+        if number == len(self.permitting):
             yield chosen
             return
         deciding = self._permits[number].deciding
         for ranked in deciding.candidates(chosen[0][0]) if chosen else deciding:
-            self._count_state()
+            self.count_state()
             if not any(disjoint(ranked[0], other) for other, _ in chosen):
                 yield from self._choices(number + 1, (*chosen, ranked))
 
@@ -125,7 +124,7 @@ class CounterexampleSearch:
             return None
         considered: dict[Glob, None] = {}
         for _ in range(ROUNDS):
-            word = CubeSearch(self._derivatives(), positives, considered, self._count_state).shortest(bound)
+            word = CubeSearch(self.derivatives(), positives, considered, self.count_state).shortest(bound)
             if word is None:
                 return None
             matching = [pattern for patterns, blocks in excluded for pattern in patterns.matching(word, blocks)]
@@ -133,7 +132,7 @@ class CounterexampleSearch:
                 return word
             considered.update(dict.fromkeys(matching))
         meeting = (pattern for patterns, blocks in excluded for pattern in patterns.meeting(positives, blocks))
-        return CubeSearch(self._derivatives(), positives, _without_covered(meeting), self._count_state).shortest(bound)
+        return CubeSearch(self.derivatives(), positives, _without_covered(meeting), self.count_state).shortest(bound)
 
 
 _Excluded = tuple["_Opposites", int]

@@ -22,8 +22,6 @@ from comarmor.values import dataclass
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
-_KEPT = 1 << 14
-"""Results that a cache keeps."""
 
 
 class StepLimitError(Exception):
@@ -92,7 +90,7 @@ def step_limit(steps: int | None) -> Iterator[StepCounter]:
 def step_counting_cache(function: Callable[_P, _T]) -> Callable[_P, _T]:
     """Return a function with a :func:`functools.lru_cache` whose hits cost as many steps as the first call."""
 
-    @lru_cache(_KEPT)
+    @lru_cache(1 << 14)
     def compute(*args: _P.args, **kwargs: _P.kwargs) -> tuple[_T, int]:
         with step_limit(None) as counter:
             result = function(*args, **kwargs)

@@ -88,11 +88,6 @@ class InstalledPackages:
         """The prefixes, without empty entries and repetitions."""
         return tuple(dict.fromkeys(filter(None, self.environment.get(SEARCH_PATH, "").split(os.pathsep))))
 
-    @property
-    def relative_prefixes(self) -> tuple[str, ...]:
-        """Those of the prefixes that are relative paths."""
-        return tuple(prefix for prefix in self.prefixes if not prefix.startswith("/"))
-
     def folder(self, package: str, where: Origin) -> SandboxedFolder:
         """Return the folder of the profiles that a package ships.
 

@@ -52,7 +52,7 @@ def plugins(run: Run) -> Report:
             rows.append(each | {"ships": ships, "from": run.typed(each["folder"])})
         run.console.table(columns, rows)
     exit_code = ExitCode.FAILURE if diagnostics else ExitCode.DONE
-    for prefix in installed.relative_prefixes:
+    for prefix in (each for each in installed.prefixes if not each.startswith("/")):
         message = f"{SEARCH_PATH} has the relative path {quote(prefix, 200)}: what packages ship is not looked up there"
         refused = "policies that include what a package ships there, or in a later prefix, are refused"
         diagnostics.append(Diagnostic.warning("package-prefix", message, None, f"write an absolute path; {refused}"))
