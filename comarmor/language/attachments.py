@@ -131,9 +131,8 @@ def expand(pieces: Sequence[Piece | TunableReference], values: Callable[[str], S
     ]
     number = prod(len(choice) for choice in choices)
     if number > MOST_VALUES:
-        raise ComArmorError(
-            f"the tunables have {number:,} combinations, more than the {MOST_VALUES:,} allowed", code="tunable"
-        )
+        message = f"the tunables have {number:,} combinations, more than the {MOST_VALUES:,} allowed"
+        raise ComArmorError(message, code="tunable")
     for combination in product(*choices):
         yield _bounded(_join(combination))
 
@@ -313,7 +312,5 @@ class TunableScope:
         """
         self.budget.used += sum(len(piece) for value in values for piece in value)
         if self.budget.used > MOST_EXPANDED_CHARACTERS:
-            raise ComArmorError(
-                f"the expanded tunables have more than the {MOST_EXPANDED_CHARACTERS:,} characters allowed",
-                code="tunable",
-            )
+            most = f"{MOST_EXPANDED_CHARACTERS:,} characters"
+            raise ComArmorError(f"the expanded tunables have more than the {most} allowed", code="tunable")

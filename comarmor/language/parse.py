@@ -313,8 +313,6 @@ def expected_of_name(name: str) -> str:
     """Return what a subject's name violates of the form of enclaves' names, which become paths; empty if legal."""
     if len(name) > _LONGEST_NAME or max(map(len, name.split("/"))) > _LONGEST_SEGMENT:
         return f"at most {_LONGEST_NAME} characters, and {_LONGEST_SEGMENT} between two '/'"
-    if not is_subject(name):
-        return (
-            "expected '/' and segments of letters, digits and '_' that do not begin with a digit, e.g. /robot1/talker"
-        )
-    return ""
+    if is_subject(name):
+        return ""
+    return "expected '/' and segments of letters, digits and '_' that do not begin with a digit, e.g. /robot1/talker"
