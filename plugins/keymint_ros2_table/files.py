@@ -44,8 +44,8 @@ _CHANGING = frozenset((
 ))  # fmt: skip
 """Functions whose results depend on more than the database, or that load code."""
 _TYPES = {type(None): "NULL", int: "INTEGER", float: "REAL", bytes: "BLOB", str: "TEXT"}
-_ACCEPTED = {"source": str | None, "audit": str | int | None, **dict.fromkeys(rows.REQUIRED, str)}
-"""The types of the values of each column, as they are checked."""
+_ACCEPTED = ((-1, (str, type(None))), (-2, (str, int, type(None))), *((at, (str,)) for at in range(len(rows.REQUIRED))))
+"""The place of each column and the types of its values, in the order in which they are checked."""
 _READING = frozenset((sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION, sqlite3.SQLITE_RECURSIVE))
 
 
@@ -152,20 +152,18 @@ def _too_much(what: str, where: Origin) -> ComArmorError:
 
 
 def _row(values: Sequence[object], file: str, number: int) -> rows.TableRow | ComArmorError:
-    given = dict(zip(rows.COLUMNS, values, strict=True))
-    source = given["source"]
+    *texts, source = values
     try:
         where = rows.row_origin(file, number, strip(source) if isinstance(source, str) else "")
     except ComArmorError as error:
         return error
-    for name, accepted in _ACCEPTED.items():
-        if not isinstance(given[name], accepted):
-            found = _TYPES[type(given[name])]
-            return ComArmorError(f"{name} is {found}, expected TEXT", where=where, code="table-value")
-    texts = ("" if given[name] is None else strip(str(given[name])) for name in (*rows.REQUIRED, "audit"))
+    for at, accepted in _ACCEPTED:
+        if not isinstance(values[at], accepted):
+            found = _TYPES[type(values[at])]
+            return ComArmorError(f"{rows.COLUMNS[at]} is {found}, expected TEXT", where=where, code="table-value")
     # The column tells rows of one source apart where a line would; it is not shown.
     origin = Origin(where.file, 0, (), number) if source else where
-    return rows.TableRow(where, origin, *texts)
+    return rows.TableRow(where, origin, *["" if text is None else strip(str(text)) for text in texts])
 
 
 _MOST_CSV, _MOST_SQLITE = 16 * 2**20, 32 * 2**20
