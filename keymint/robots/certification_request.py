@@ -108,7 +108,12 @@ def read(content: bytes, where: Origin) -> CertificationRequest:
         raise _invalid("does not have exactly one name, the enclave's", where)
     if not _NONCE.fullmatch(nonce):
         raise _invalid("has no nonce of 32 hexadecimal digits", where)
-    name, public = _name(names[0], where), _usable(key, where)
+    claimed = names[0] if isinstance(names[0], str) else ""
+    try:
+        name = subject_of(package_name(claimed))
+    except KeymintError:
+        raise _invalid(f"claims the name {quote(claimed, 80)}, which no enclave can have", where) from None
+    public = _usable(key, where)
     if not signed:
         raise _unsigned("is not signed by the key that it asks a certificate for", where)
     pem = keys.public_to_pem(public)
@@ -127,14 +132,6 @@ def _usable(key: object, where: Origin) -> keys.PublicKey:
         help="make a new request on the robot with 'keymint request'",
         code="key-kind",
     )
-
-
-def _name(claimed: object, where: Origin) -> str:
-    text = claimed if isinstance(claimed, str) else ""
-    try:
-        return subject_of(package_name(text))
-    except KeymintError:
-        raise _invalid(f"claims the name {quote(text, 80)}, which no enclave can have", where) from None
 
 
 def _signer(signature: bytes | None, block: bytes, where: Origin) -> str:

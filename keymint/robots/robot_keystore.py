@@ -154,9 +154,8 @@ class Keystore:
 
     def wait(self, name: str, request: bytes, key: bytes) -> FolderChange:
         """Return the change that keeps a request, and its private key unless that is empty."""
-        folder = self._waiting(name)
         files = {_REQUEST: File(request, secret=True), **({KEY: File(key, secret=True)} if key else {})}
-        return FolderChange(folder, files, () if key else (KEY,), private=True)
+        return FolderChange(self._waiting(name), files, () if key else (KEY,), private=True)
 
     def forget(self, name: str) -> FolderChange:
         """Return the change that removes the request of an enclave."""

@@ -47,8 +47,7 @@ def authority_replace(
     (stage), all robots switch to it (ROS_SECURITY_KEYSTORE) at a common restart, and it becomes install/ (end). How far
     it has come stands in profile/; the same command again completes its phase. --dry-run says what each phase does.
     """
-    begins = bool(vendors or certificate)
-    if (cancel and (phase or begins)) or (key_file and not certificate):
+    if (cancel and (phase or vendors or certificate)) or (key_file and not certificate):
         raise usage_error(
             "these options do not go together",
             "give --phase, --cancel, or what begins it (--vendor, --certificate, --key)",

@@ -70,8 +70,7 @@ def _accepted(names: tuple[str, ...], session: Session) -> Plan:
     if missing := [name for name in chosen if name not in {each.name for each in register.rights}] or not chosen:
         who = f"of {subject_of(missing[0])} is known" if isinstance(missing, list) else "is accepted unless you name it"
         raise KeymintError(f"no document {who}", help="'keymint check' names the packages", code="package-unknown")
-    after = register.with_accepted(chosen, session.now)
-    writes = register_change(session, after)
+    writes = register_change(session, register.with_accepted(chosen, session.now))
     action = Action.UPDATED if writes else Action.UNCHANGED
     detail = "earlier documents are accepted"
     steps = (Step(STAGE, name, action, writes if name == chosen[0] else (), detail) for name in chosen)
