@@ -53,17 +53,15 @@ def build(package: Package, options: BuildOptions) -> BuildResult:  # noqa: ARG0
     found = list(check_identity(package))
     defects = Defects()
     defects.found += (each for each in found if each.severity is Severity.ERROR)
-    if is_router(package):
-        defects.require_none()
-        return BuildResult({}, tuple(found))
     documents: dict[str, bytes] = {}
-    with defects:
-        title = [line.format(subject=package.subject) for line in _SESSION_TITLE]
-        documents[SESSION] = write(session_configuration(package), title)
-    with defects:
-        found += lower_package(package)[1]
-    with defects:
-        common_name(package)
+    if not is_router(package):
+        with defects:
+            title = [line.format(subject=package.subject) for line in _SESSION_TITLE]
+            documents[SESSION] = write(session_configuration(package), title)
+        with defects:
+            found += lower_package(package)[1]
+        with defects:
+            common_name(package)
     defects.require_none()
     return BuildResult(documents, tuple(found))
 

@@ -87,9 +87,8 @@ def participant(vendor: Vendor, models: EnclaveModels, subject: str, domain: int
     enclave = models.enclaves[subject]
     enclave_files.refuse_unusable_key(enclave)
     with participants(vendor, subject) as system:
-        opened: ProbeParticipant | str
         try:
-            opened = open_participant(system, enclave, domain)
+            opened: ProbeParticipant | str = open_participant(system, enclave, domain)
         except RefusedError as error:
             opened = f"the participant is refused: {error}"
         yield opened

@@ -144,7 +144,9 @@ class CycloneAccessControl(AbstractContextManager["CycloneAccessControl"]):
             b"dds.sec.access.permissions": "permissions.p7s",
         }
         place = b"file:" + os.fsencode(folder.resolve()) + b"/"
-        self._qos = _qos({name: place + file.encode() for name, file in files.items()})
+        properties = [_Property(name, place + file.encode(), 0) for name, file in files.items()]
+        listed = (_Property * len(properties))(*properties)
+        self._qos = _Qos(_PropertySeq(len(listed), len(listed), listed))
         self.reason = ""
         self._plugin = POINTER(_Plugin)()
         if self._library.plugin.init_access_control(None, byref(self._plugin), byref(self._library.domain)):
@@ -236,8 +238,3 @@ def _silent() -> Iterator[None]:
 def _octets(name: str) -> bytes:
     """Return the bytes of a name; surrogates are bytes that are not UTF-8 (PEP 383)."""
     return name.encode("utf-8", "surrogateescape")
-
-
-def _qos(properties: dict[bytes, bytes]) -> _Qos:
-    listed = (_Property * len(properties))(*(_Property(name, value, 0) for name, value in properties.items()))
-    return _Qos(_PropertySeq(len(listed), len(listed), listed))

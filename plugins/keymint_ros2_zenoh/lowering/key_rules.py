@@ -298,12 +298,11 @@ def slot_rules(names: NameRules) -> Iterator[tuple[Effect, tuple[permissions.Slo
     An ALLOW rule allows what its permission needs. A DENY rule denies all messages in both flows, except what a
     permission that it does not deny needs, and that an ALLOW rule may grant on one of its names.
     """
+    denied: dict[tuple[Rule, Glob], set[str]] = {}
     for each in names.rules:
         if each.effect is Effect.ALLOW:
             yield Effect.ALLOW, permissions.SLOTS[each.permission], each.pattern, each.rule
-    denied: dict[tuple[Rule, Glob], set[str]] = {}
-    for each in names.rules:
-        if each.effect is Effect.DENY:
+        else:
             denied.setdefault((each.rule, each.pattern), set()).add(each.permission)
     for (rule, pattern), own in denied.items():
         living = {
