@@ -17,7 +17,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import NamedTuple
 
-from comarmor.regex import lazy_regex
+from comarmor.rules import is_fully_qualified
 from keymint.api import Availability, Environment, InstalledEnclave, Tier, Verdict
 from keymint.api.graph import Column, Edge
 from keymint.errors import KeymintError
@@ -197,8 +197,6 @@ def _refusal(folder: Path, enclave_model: EnclaveModel) -> str:
         return str(error)
 
 
-_NAME = lazy_regex(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
-"""The full names that rcl accepts (rmw, ``validate_full_topic_name.c``), but for two underscores in a row."""
 _LONGEST = 200
 """Bytes of a name; rmw accepts 247, less what follows the name of an action or of a node."""
 
@@ -264,4 +262,5 @@ class RosTransport(VendorTransport):
 
 
 def _is_legal(name: str) -> bool:
-    return _NAME.fullmatch(name) is not None and "__" not in name and len(name) < _LONGEST
+    """Return whether rcl accepts a full name (rmw, ``validate_full_topic_name.c``)."""
+    return is_fully_qualified(name) and "__" not in name and len(name) < _LONGEST
