@@ -206,7 +206,7 @@ class Configuration:
         Args:
             path: path of the setting, e.g. ``scouting/gossip/enabled``.
         """
-        while path not in self.places:
+        while path and path not in self.places:
             path = path.rpartition("/")[0]
         return self.places[path]
 
