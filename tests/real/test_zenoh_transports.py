@@ -178,4 +178,4 @@ def test_without_the_library_the_transport_reports_how_to_install_it(
     assert (usable.usable, usable.tiers) == (False, ())
     assert "pip install eclipse-zenoh" in usable.help
     with pytest.raises(KeymintError, match="cannot be used at tier decision: no library eclipse-zenoh"):
-        opened.label([], [], Tier.DECISION)
+        list(opened.label([], [], Tier.DECISION))

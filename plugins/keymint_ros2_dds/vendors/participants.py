@@ -75,8 +75,10 @@ class Vendor(ABC):
 
     @property
     def command(self) -> tuple[str, ...]:
-        """The words that start the program."""
-        return (*(self.version.starter if self.version else ()), str(self.program))
+        """The words that start the program; with a version it runs with the libraries of that and no others."""
+        if self.version is None:
+            return (str(self.program),)
+        return str(self.version.loader), "--library-path", str(self.version.libraries), str(self.program)
 
     @abstractmethod
     def start(self, first_port: int, index: int, *, conforming: bool) -> tuple[Mapping[str, str], tuple[str, ...]]:

@@ -248,17 +248,12 @@ class Unpacked:
     loader: Path
 
     @property
-    def starter(self) -> tuple[str, ...]:
-        """The words that come before a program, so that it runs with these libraries and no others."""
-        return str(self.loader), "--library-path", str(self.libraries)
-
-    @property
     def plugins(self) -> Path:
         """The folder of the security plugins of Cyclone DDS; Fast DDS has none."""
         return self.libraries / "libddsc0debian"
 
     def built(self, probe: Probe) -> Probe:
-        """Return a probe that is built from the headers and libraries of this version; :attr:`starter` starts it.
+        """Return a probe that is built from the headers and libraries of this version; :attr:`loader` starts it.
 
         The libraries need a newer C library than the linker finds on the machine, so it does not look for that.
 

@@ -92,10 +92,6 @@ class Network:
         self.sessions.open(name, model.files.file, changes)
         return name
 
-    def close(self, session: str) -> None:
-        """Close a session."""
-        self.sessions.ask("close", session=session)
-
 
 def _paths(files: enclave_model.InstalledConfiguration) -> dict[str, object]:
     return loopback.path_changes(files.configuration.settings(), files.local)
@@ -199,7 +195,7 @@ class LoggedSession:
 
     def close(self) -> None:
         """Close the session."""
-        self.network.close(self._session)
+        self.network.sessions.ask("close", session=self._session)
 
     def _decide(self, request: OperationRequest) -> Verdict:
         own = self._at_session.allows(request.message, request.flow.opposite, request.key)

@@ -132,7 +132,6 @@ class _Run:
     def __init__(
         self, session: LoggedSession, other: ZenohEnclaveModel, trials: Sequence[_SampleTrial], *, conforming: bool
     ) -> None:
-        self._network = session.network
         self._process = session.network.sessions
         self._trials = trials
         self._conforming = conforming
@@ -186,7 +185,7 @@ class _Run:
     def close(self) -> None:
         """Close the sessions."""
         for session in (self._own, self._other):
-            self._network.close(session)
+            self._process.ask("close", session=session)
 
     @property
     def _boxes(self) -> dict[str, str]:
@@ -236,12 +235,7 @@ class RealZenoh(VendorTransport):
         """See :meth:`keymint.api.Transport.label`."""
         self.usable().require(tier, "zenoh")
         models = InstalledModels(enclaves, self._environment)
-
         how = (TRIED, exchange) if tier is Tier.EXCHANGE else (DECIDED, logged_decisions)
-
-        def labelled() -> Iterator[tuple[Edge, Verdict]]:
-            for install, group in groupby(edges, key=lambda edge: models.enclaves[edge.subject].install):
-                with running_network(models.router(install), self._environment.variables) as network:
-                    yield from in_sessions(network, models, group, *how)
-
-        return labelled()
+        for install, group in groupby(edges, key=lambda edge: models.enclaves[edge.subject].install):
+            with running_network(models.router(install), self._environment.variables) as network:
+                yield from in_sessions(network, models, group, *how)
