@@ -51,18 +51,6 @@ def read(content: bytes, name: str) -> Configuration:
         KeymintError: not well-formed, or Zenoh would refuse it; every defect with its ``file:line``.
     """
     document, lines = json5.parse(content, name)
-    _validate(document, lines, name)
-    return _Reading(document, lines, name).configuration()
-
-
-@lru_cache(maxsize=1)
-def _validator() -> Callable[[Any], Any]:
-    path = locate("keymint_ros2_zenoh", "schemas") / "configuration.schema.json"
-    validator: Callable[[Any], Any] = fastjsonschema.compile(json.loads(path.read_bytes()), use_default=False)
-    return validator
-
-
-def _validate(document: Any, lines: Mapping[json5.Path, int], name: str) -> None:
     try:
         _validator()(document)
     except fastjsonschema.JsonSchemaValueException as error:
@@ -80,6 +68,14 @@ def _validate(document: Any, lines: Mapping[json5.Path, int], name: str) -> None
             help="Zenoh refuses it at start",
             code="zenoh-configuration",
         ) from None
+    return _Reading(document, lines, name).configuration()
+
+
+@lru_cache(maxsize=1)
+def _validator() -> Callable[[Any], Any]:
+    path = locate("keymint_ros2_zenoh", "schemas") / "configuration.schema.json"
+    validator: Callable[[Any], Any] = fastjsonschema.compile(json.loads(path.read_bytes()), use_default=False)
+    return validator
 
 
 class _Reading:
