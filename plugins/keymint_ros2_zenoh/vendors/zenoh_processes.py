@@ -179,17 +179,6 @@ class ZenohProcess(CommandProcess):
         texts = {path: json.dumps(value) for path, value in changes.items()}
         self.ask("open", session=session, file=str(file), changes=texts)
 
-    def decisions(self) -> list[LoggedDecision]:
-        """Return the lines about decisions that were logged since the last call."""
-        if not self._log.exists():
-            return []
-        with self._log.open("rb") as log:
-            log.seek(self._log_offset)
-            content = log.read()
-        complete = content[: content.rfind(b"\n") + 1]
-        self._log_offset += len(complete)
-        return list(lines(complete.decode(errors="replace")))
-
     def await_decisions(self, zid: str, fence: str) -> list[LoggedDecision]:
         """Return the decisions about a session that were logged since the last call.
 
@@ -211,7 +200,12 @@ class ZenohProcess(CommandProcess):
             if self._process.poll() is not None:
                 raise self._died("log")
             time.sleep(0.002)
-            found += [each for each in self.decisions() if each.zid == zid]
+            with self._log.open("rb") as log:
+                log.seek(self._log_offset)
+                content = log.read()
+            complete = content[: content.rfind(b"\n") + 1]
+            self._log_offset += len(complete)
+            found += [each for each in lines(complete.decode(errors="replace")) if each.zid == zid]
         return combined_decisions(each for each in found if each.key != fence)
 
 
