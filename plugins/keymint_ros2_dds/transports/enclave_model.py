@@ -198,11 +198,14 @@ class EnclaveModel:
         verdict, deviation = Verdict(False, "this maps to no DDS endpoint", self.place()), ""
         for endpoint, answer in zip(needed, repeat(None) if answers is None else answers, strict=False):
             modelled = self.decide(variation, endpoint)
-            allowed, reason = answer or (modelled.allowed, _reason(modelled))
+            place = modelled.where
+            # The line of the permissions that decided; 0 if none did. The reason then has the place, if there is one.
+            line = place.line if place and place.file == layout.PERMISSIONS_XML else 0
+            own = f"{place}: {modelled.reason}" if place and not line else modelled.reason
+            allowed, reason = answer or (modelled.allowed, own)
             deviation = deviation or self.deviation(variation, endpoint, allowed=allowed)
-            line = _line(modelled) if modelled.allowed == allowed else 0
             shown = reason or ("it is allowed" if allowed else "it is denied")
-            verdict = Verdict(allowed, shown, self.place(line), deviation)
+            verdict = Verdict(allowed, shown, self.place(line if modelled.allowed == allowed else 0), deviation)
             if not allowed:
                 break
         return verdict
@@ -225,16 +228,6 @@ class EnclaveModel:
             return ""
         deviations = semantics.explain(lambda other: self.decide(other, endpoint).allowed, variation)
         return "; ".join(map(str, deviations))
-
-
-def _line(modelled: Verdict) -> int:
-    """Return the line of the permissions that decided; 0 if none did."""
-    return modelled.where.line if modelled.where and modelled.where.file == layout.PERMISSIONS_XML else 0
-
-
-def _reason(modelled: Verdict) -> str:
-    """Return the reason of a decision, with its place if that is not in the permissions."""
-    return f"{modelled.where}: {modelled.reason}" if modelled.where and not _line(modelled) else modelled.reason
 
 
 @lru_cache(maxsize=8)

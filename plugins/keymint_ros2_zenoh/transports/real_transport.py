@@ -137,6 +137,8 @@ class _Run:
         self._conforming = conforming
         self._own = session.network.open(session.model, conforming=conforming)
         self._other = session.network.open(other)
+        # The key of each mailbox, in the order of the trials.
+        self._boxes = {self._name(trial): trial.operation.key for trial in trials}
         permission = trials[0].operation.permission
         active = permission in {PUBLISH, CALL}
         self._sender, self._receiver = (self._own, self._other) if active else (self._other, self._own)
@@ -186,11 +188,6 @@ class _Run:
         """Close the sessions."""
         for session in (self._own, self._other):
             self._process.ask("close", session=session)
-
-    @property
-    def _boxes(self) -> dict[str, str]:
-        """The key of each mailbox, in the order of the trials."""
-        return {self._name(trial): trial.operation.key for trial in self._trials}
 
     def _name(self, trial: _SampleTrial) -> str:
         """Return the name of a trial's mailbox."""
