@@ -131,7 +131,6 @@ def templates(need: Need, subject: str) -> tuple[Need, ...]:
     return tuple((kind, text, permission, tuple(map(escape, partitions))) for text in texts)
 
 
-_ANY_SUBJECT = "*"
 INCLUDE_SIZE = len('    <xi:include href="policy.d/common_1.xml" parse="xml"/>\n')
 """Bytes of a typical include."""
 
@@ -157,7 +156,7 @@ def document(needs: Mapping[str, set[Need]], parts: Sequence[CommonPart], folder
 def fragment(needs: Iterable[Need], name: str = "common_1") -> bytes:
     """Return an included file: a rule, or for several rules a profile that applies to any subject."""
     rules = fold(needs)
-    profile = _profile(name, _ANY_SUBJECT, rules)
+    profile = _profile(name, "*", rules)
     return formatting.document(profile if len(rules) > 1 else profile[1]).encode()
 
 
@@ -376,8 +375,12 @@ def learn(graph: Graph, existing: LoadedPolicy | None, fragments: str) -> Learne
     granted = needs_of(missing)
     needs = {subject: granted.get(subject, set()) for subject in sorted({*subjects, *granted})}
     parts = share(needs) if fragments else ()
+    domains = sorted({edge.domain for edge in graph.edges})
+    shown = ", ".join(map(str, domains))
+    # A policy cannot express DDS domains; nothing is said about the default one.
+    note = f"Learned in DDS domain {shown}; this document holds no domain: its workspace does." if any(domains) else ""
     return LearnedPolicy(
-        document=document(needs, parts, fragments, _domain_note(graph)) if needs else b"",
+        document=document(needs, parts, fragments, note) if needs else b"",
         fragments={part.name: fragment(part.needs, part.name.removesuffix(".xml")) for part in parts},
         missing=tuple(missing),
         conflicts=tuple(dict.fromkeys(conflicts)),
@@ -399,11 +402,3 @@ def _generated(edges: Iterable[Edge], subjects: Iterable[str]) -> Iterator[Diagn
         message = f"the name of {subject} changes with each start, so its profile is about no enclave"
         help_ = "record it with its enclave, or name it: keymint discover --subject ID=NAME"
         yield Diagnostic.note("learn-generated", message, None, help_, subject)
-
-
-def _domain_note(graph: Graph) -> str:
-    """Return a comment on the DDS domains of a graph, which a policy cannot express; empty for the default domain."""
-    domains = sorted({edge.domain for edge in graph.edges})
-    if domains in ([], [0]):
-        return ""
-    return f"Learned in DDS domain {', '.join(map(str, domains))}; this document holds no domain: its workspace does."

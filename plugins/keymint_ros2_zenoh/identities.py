@@ -16,7 +16,6 @@ from keymint.pki import distinguished_names
 from keymint_ros2_zenoh.settings import is_address, is_router, settings_of
 
 _CURVES = ("SECP256R1", "SECP384R1")
-_REFUSED_WITH_EC = "SHA512"
 _SERVER, _CLIENT = "serverAuth", "clientAuth"
 _TOO_MUCH = {
     True: "the router's certificate is also for clients, and could take part as a node without rights",
@@ -49,7 +48,7 @@ def _refused(package: Package) -> Iterator[_Defect]:
     # rustls does not verify the signature with SHA-512 by an EC key, which certificates below the root may have.
     signed = [identity, *(authority.certificate for authority in package.issuers)]
     for certificate, authority in zip(signed, package.issuers, strict=False):
-        if authority.certificate.key.algorithm == "ec" and certificate.hash_algorithm == _REFUSED_WITH_EC:
+        if authority.certificate.key.algorithm == "ec" and certificate.hash_algorithm == "SHA512":
             message = (
                 f"the authority {authority.name!r} has an EC key and signs this certificate with SHA512, which Zenoh "
                 "refuses"

@@ -17,10 +17,10 @@ from comarmor.regex import lazy_regex
 from comarmor.text import quote
 from comarmor.xml.reader import line, parse
 from keymint.api import DiscoveredGraph
+from keymint.api.graph_json import MAX_DOMAIN
 from keymint.errors import KeymintError
 from keymint_ros2_dds.discovery.capture import DiscoveredEndpoint, DiscoveredParticipant, discovered_graph
 
-MAX_DOMAIN = 232
 _NUMBER = lazy_regex(r"[0-9]{1,9}")
 _HEX = lazy_regex(r"[0-9a-f]{1,2}(?:,\s*[0-9a-f]{1,2})*\Z", re.IGNORECASE)
 _ENDPOINTS = {"publication_data": "publish", "subscription_data": "subscribe"}

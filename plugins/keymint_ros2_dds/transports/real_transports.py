@@ -90,8 +90,7 @@ class ParticipantsTransport(VendorTransport):
             version = unpacked_version(self._environment.cache, self._software.unpacked).version
             probe.compiler(variables)
             return Availability(usable=True, version=version, tiers=tuple(Tier), by_default=False)
-        version = probe.version(*self._software.version, variables)
-        return Availability(usable=True, version=version, tiers=tuple(Tier))
+        return Availability(True, probe.version(*self._software.version, variables), tiers=tuple(Tier))
 
     def label(
         self, enclaves: Sequence[InstalledEnclave], edges: Iterable[Edge], tier: Tier

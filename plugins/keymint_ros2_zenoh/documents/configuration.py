@@ -214,7 +214,7 @@ class Configuration:
 SETTINGS: Mapping[str, str] = {each.metadata["path"]: each.name for each in fields(Configuration) if each.metadata}
 """The attributes of :class:`Configuration` by the paths of their settings, in the order of documents."""
 
-_COMMON: Mapping[str, Any] = {
+ROUTER_SETTINGS: Mapping[str, Any] = {
     "timestamping/enabled": True,
     "transport/link/tx/keep_alive": 2,
     "transport/link/tx/lease": 60_000,
@@ -226,11 +226,11 @@ _COMMON: Mapping[str, Any] = {
 }
 """Settings of both default configurations of rmw_zenoh (0.12, ``rmw_zenoh_cpp/config``) that differ from Zenoh's.
 
-A configuration replaces these defaults, so it must repeat them. ``transient_local`` needs time stamps.
+The router has no others; a session has :data:`SESSION_SETTINGS`. A configuration replaces these defaults, so it must
+repeat them. ``transient_local`` needs time stamps.
 """
-ROUTER_SETTINGS: Mapping[str, Any] = _COMMON
 SESSION_SETTINGS: Mapping[str, Any] = {
-    **_COMMON,
+    **ROUTER_SETTINGS,
     "queries_default_timeout": 600_000,
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 60_000_000,
 }
