@@ -226,8 +226,7 @@ ROUTER_SETTINGS: Mapping[str, Any] = {
 }
 """Settings of both default configurations of rmw_zenoh (0.12, ``rmw_zenoh_cpp/config``) that differ from Zenoh's.
 
-The router has no others; a session has :data:`SESSION_SETTINGS`. A configuration replaces these defaults, so it must
-repeat them. ``transient_local`` needs time stamps.
+A configuration replaces these defaults, so it must repeat them. ``transient_local`` needs time stamps.
 """
 SESSION_SETTINGS: Mapping[str, Any] = {
     **ROUTER_SETTINGS,

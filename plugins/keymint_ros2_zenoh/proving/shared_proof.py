@@ -63,10 +63,7 @@ class Leak:
 
 
 _Groups = dict[tuple[tuple[keyexpr.KeyExpr, ...], tuple[keyexpr.KeyExpr, ...]], list[str]]
-"""Receivers by what they may receive, since many have the same rights.
-
-These are key expressions with wildcards that are allowed, and those that are denied.
-"""
+"""Subjects by the key expressions with wildcards that they may receive, and those that they are denied: many agree."""
 
 
 def leaks(senders: Iterable[Rights], receivers: Sequence[Rights]) -> Iterator[Leak]:
