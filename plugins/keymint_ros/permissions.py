@@ -326,17 +326,14 @@ def _rule_element(rule: Rule, base: str, chains: dict[int, str]) -> str:
     at = rule.origin
     chain = chains.get(id(at.chain))
     if chain is None:
-        chain = chains[id(at.chain)] = "".join([f"; {_line(each, base)}" for each in at.chain])
+        chain = chains[id(at.chain)] = "".join([f"; {_relative(each.file, base)}:{each.line}" for each in at.chain])
+    places = f"{_relative(at.file, base)}:{at.line}{chain}"
     return (
-        f'      <{rule.kind} qualifier="{rule.effect}"{audit} origin="{_text(_line(at, base) + chain)}">\n'
+        f'      <{rule.kind} qualifier="{rule.effect}"{audit} origin="{_text(places)}">\n'
         f"{expressions}{partition_list}"
         f"        <permissions>{''.join([f'<{each}/>' for each in rule.permissions])}</permissions>\n"
         f"      </{rule.kind}>\n"
     )
-
-
-def _line(place: Origin, base: str) -> str:
-    return f"{_relative(place.file, base)}:{place.line}"
 
 
 @lru_cache(maxsize=1024)
