@@ -87,11 +87,9 @@ def simplify(labelled: LabelledGraph, options: DrawingOptions) -> SimplifiedGrap
         common = (one for one in labelled.edges if one.common)
         marked = dict.fromkeys(one for one in common if one.outcome(options.transport) is EdgeOutcome.ALLOW)
     edges: Sequence[LabelledEdge] = [one for one in labelled.edges if one not in marked]
-    groups: Mapping[str, tuple[str, ...]] = {subject: (subject,) for subject in labelled.subjects}
     is_large = options.split is Split.NONE and len(labelled.subjects) > GROUP_FROM
     by_namespace = _groups(labelled.subjects) if options.group or (options.group is None and is_large) else {}
-    if len(by_namespace) > 1:
-        groups = by_namespace
+    groups = by_namespace if len(by_namespace) > 1 else {subject: (subject,) for subject in labelled.subjects}
     group_of = {subject: name for name, subjects in groups.items() for subject in subjects}
     if groups is by_namespace:
         edges = _group_edges(edges, group_of)
