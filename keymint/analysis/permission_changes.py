@@ -16,12 +16,12 @@ from itertools import product
 
 from comarmor.errors import Origin
 from comarmor.patterns.decision_lists import DecisionList, Equal, ProofResult, Unknown, Witness, negate
-from comarmor.patterns.glob import Glob, matches, parse
-from comarmor.patterns.proofs import difference
+from comarmor.patterns.glob import Glob, matches, parse, surround
 from comarmor.patterns.relations import covers, disjoint
-from comarmor.rules import PARTS, PERMISSIONS, Effect
+from comarmor.rules import PARTS, PERMISSIONS, Effect, parts
 from comarmor.values import dataclass
 from keymint.analysis.rule_lists import (
+    ListComparison,
     PermissionKey,
     allow_only,
     decision_list,
@@ -31,10 +31,9 @@ from keymint.analysis.rule_lists import (
     find_permitted,
     object_patterns,
     overlap,
-    part_lists,
     part_patterns,
     restrict_allowed,
-    universe,
+    strip_suffix,
 )
 from keymint.analysis.subject_patterns import SubjectClass, rules_of
 from keymint.analysis.symbolic_rules import (
@@ -101,21 +100,24 @@ def rule_changes(old: Sequence[Rule], new: Sequence[Rule], budget: QueryBudget) 
     yield from _RuleComparison(False, new, old, budget).changes()
 
 
-@dataclass(frozen=True, slots=True)
 class _RuleComparison:
     """Finds what some rules allow and others do not.
 
-    Attributes:
+    A pattern that both have is searched only if a denial was lifted from it, among the patterns that may meet it.
+
+    Args:
         gains: the rules that allow it are the newer ones.
         before: the rules that do not allow it.
         after: the rules that do.
         budget: limit of the search.
     """
 
-    gains: bool
-    before: Sequence[Rule]
-    after: Sequence[Rule]
-    budget: QueryBudget
+    def __init__(self, gains: bool, before: Sequence[Rule], after: Sequence[Rule], budget: QueryBudget) -> None:
+        self._gains = gains
+        self._after = after
+        self._budget = budget
+        # Compares the lists of a permission without parts.
+        self._lists = cache(lambda key: ListComparison(*(decision_list(rules, key) for rules in (before, after))))
 
     def changes(self) -> Iterator[PermissionChange]:
         """Yield the changes, permissions without parts first; composite permissions cover those of their parts."""
@@ -123,10 +125,7 @@ class _RuleComparison:
         explained: dict[PermissionKey, list[Glob]] = {}
         for change in composite:
             pieces = [*part_patterns(change.kind, change.permission, change.objects)]
-            if all(
-                self._is_whole(key[0], piece, decision_list(self.before, key), decision_list(self.after, key))
-                for key, piece in pieces
-            ):
+            if all(self._is_whole(key[0], piece, *self._lists(key).near(piece)) for key, piece in pieces):
                 for key, piece in pieces:
                     explained.setdefault(key, []).append(piece)
         for key in KEYS:
@@ -136,14 +135,14 @@ class _RuleComparison:
         yield from composite
 
     def _find(self, kind: str, *lists: DecisionList) -> ProofResult:
-        return find_permitted(kind, *lists, budget=self.budget.next_query())
+        return find_permitted(kind, *lists, budget=self._budget.next_query())
 
     def _change(
         self, key: PermissionKey, objects: Glob, outcome: Witness | Unknown, whole: bool, where: Origin
     ) -> PermissionChange:
         if isinstance(outcome, Unknown):
-            return PermissionChange(self.gains, *key, objects, False, "", where, outcome.reason)
-        return PermissionChange(self.gains, *key, objects, whole, outcome.word, where)
+            return PermissionChange(self._gains, *key, objects, False, "", where, outcome.reason)
+        return PermissionChange(self._gains, *key, objects, whole, outcome.word, where)
 
     def _elementary(self, key: PermissionKey) -> list[PermissionChange]:
         """Return the changes for a kind and permission without parts.
@@ -151,18 +150,18 @@ class _RuleComparison:
         Of each pattern that a rule allows now, these are what was denied, and what no rule allowed.
         """
         kind = key[0]
-        old, new = decision_list(self.before, key), decision_list(self.after, key)
-        if isinstance(difference(old, new, universe=universe(kind), budget=self.budget.next_query()), Equal):
-            return []
-        denied = tuple(dict.fromkeys(pattern for block in old if not block.allows for pattern in block.patterns))
-        unmatched: DecisionList = (*(block for block in old if not block.allows), *negate(old)[1:])
         changes: list[PermissionChange] = []
-        for rule in self.after:
+        for rule in self._after:
             for pattern in object_patterns(rule, key) if rule.effect is Effect.ALLOW else ():
+                if not self._lists(key).may_gain(pattern):
+                    continue
+                old, new = self._lists(key).near(pattern)
+                denied = tuple(each for each in old[0].patterns if not disjoint(pattern, each))
+                unmatched: DecisionList = (*(block for block in old if not block.allows), *negate(old)[1:])
                 allowed_now = restrict_allowed(pattern, new)
                 outcome = self._find(kind, allowed_now, unmatched)
                 if not isinstance(outcome, Equal):
-                    whole = all(disjoint(pattern, each) for each in denied) and self._is_whole(kind, pattern, old, new)
+                    whole = not denied and self._is_whole(kind, pattern, old, new)
                     changes.append(self._change(key, pattern, outcome, whole, rule.origin))
                 for denial in denied:
                     for piece in overlap(pattern, denial):
@@ -177,15 +176,22 @@ class _RuleComparison:
         kind, permission = key
         candidates = {
             parse(expression): rule.origin
-            for rule in reversed(self.after)
+            for rule in reversed(self._after)
             if rule.effect is Effect.ALLOW and rule.kind == kind and permission in rule.permissions
             for expression in rule.expressions
         }
         if not candidates:
             return []
-        old, new = part_lists(self.before, kind, permission), part_lists(self.after, kind, permission)
         changes: list[PermissionChange] = []
         for pattern, where in candidates.items():
+            pieces = [
+                (self._lists((part_kind, part)), surround("", pattern, suffix), suffix)
+                for part_kind, part, suffix in parts(kind, permission)
+            ]
+            if not any(lists.may_gain(piece) for lists, piece, _ in pieces):
+                continue
+            decided = ([strip_suffix(each, suffix) for each in lists.near(piece)] for lists, piece, suffix in pieces)
+            old, new = zip(*decided, strict=True)
             outcomes = [self._find(kind, allow_only(pattern), *new, negate(part)) for part in old]
             witnesses = (each for each in outcomes if isinstance(each, Witness))
             undecided = next((each for each in outcomes if isinstance(each, Unknown)), None)

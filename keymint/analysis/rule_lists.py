@@ -13,9 +13,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from comarmor.patterns.decision_lists import Block, DecisionList, Equal, ProofResult, SearchBudget, Universe
 from comarmor.patterns.expression import exact, rule_matches, rule_matches_partition
 from comarmor.patterns.glob import Glob, normalise, parse, right_quotient, surround, units
+from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.possible_names import matches_ros_name
 from comarmor.patterns.proofs import difference
-from comarmor.patterns.relations import TooComplexError, intersection
+from comarmor.patterns.relations import TooComplexError, disjoint, intersection
 from comarmor.patterns.tokens import ANY, MAX_CODE, STAR, charset
 from comarmor.rules import Effect, parts, suffixes
 from keymint.ir import Rule
@@ -104,6 +105,36 @@ def decision_list(rules: Iterable[Rule], key: PermissionKey) -> DecisionList:
     for rule in rules:
         by_effect[rule.effect] |= dict.fromkeys(object_patterns(rule, key))
     return deny_over_allow(by_effect[Effect.DENY], by_effect[Effect.ALLOW])
+
+
+class ListComparison:
+    """Two decision lists, as :func:`decision_list` returns them, of whose many patterns few concern a given one.
+
+    Args:
+        old: the older list.
+        new: the newer one.
+    """
+
+    def __init__(self, old: DecisionList, new: DecisionList) -> None:
+        (denied, allowed), (still_denied, _) = ([*map(set, (block.patterns for block in side))] for side in (old, new))
+        self._allowed, self._lifted = allowed, denied - still_denied
+        self._sides = [
+            [(block, PatternIndex((each, None) for each in block.patterns)) for block in side] for side in (old, new)
+        ]
+
+    def may_gain(self, pattern: Glob) -> bool:
+        """Return False if the older list surely allows all of a pattern that the newer one allows.
+
+        It does if it has the same pattern, and no denial that only it has concerns that.
+        """
+        return pattern not in self._allowed or not all(disjoint(pattern, each) for each in self._lifted)
+
+    def near(self, pattern: Glob) -> list[DecisionList]:
+        """Return both lists without patterns that surely have no word in common with a pattern."""
+        return [
+            tuple(Block(block.allows, tuple(each for each, _ in index.candidates(pattern))) for block, index in side)
+            for side in self._sides
+        ]
 
 
 def deny_over_allow(denied: Iterable[Glob], allowed: Iterable[Glob]) -> DecisionList:
