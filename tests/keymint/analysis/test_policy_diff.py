@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from comarmor.errors import Origin
 from comarmor.patterns.glob import matches, parse
 from comarmor.rules import Effect
+from keymint.analysis import permission_changes
 from keymint.analysis.permission_changes import rule_changes
 from keymint.analysis.policy_diff import diff_policies, has_gains
 from keymint.analysis.symbolic_search import STATES, QueryBudget
@@ -246,3 +247,19 @@ def test_a_large_policy_is_compared_by_what_changed(tmp_path: Path) -> None:
         assert [each.like for each in diff_policies(old, new, budget)] == ["/robot3/arm*"]
         spent.append(budget.spent)
     assert spent[1] <= 2 * spent[0]
+
+
+@pytest.mark.parametrize(("kind", "permission"), [PUB, CALL])
+def test_many_rules_are_compared_by_what_changed(kind: str, permission: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+    find = permission_changes.find_permitted
+    monkeypatch.setattr(permission_changes, "find_permitted", lambda *a, **k: asked.append(a[0]) or find(*a, **k))
+    expressions = [f"/robot{number}/{name}" for number in range(200) for name in ("arm", "leg*", "*eye*")]
+
+    def rules(*each: str) -> list[Rule]:
+        return [Rule(Effect.ALLOW, kind, (permission,), (one,), (), False, Origin("p", 1)) for one in each]
+
+    old, new = rules(*expressions), rules(*expressions[:-1], "*hand*")
+    found = [(each.gains, each.pattern) for each in rule_changes(old, new, QueryBudget())]
+    assert found == [(True, "*hand*"), (False, expressions[-1])]
+    assert len(asked) < 30
