@@ -10,10 +10,11 @@ from typing import Any
 
 from keymint.command_line.options import packages_argument
 from keymint.command_line.verb import Report, Run, flag, verb
-from keymint.commands.life.revoke import document
 from keymint.errors import KeymintError
+from keymint.life.register import IssuedCertificate
 from keymint.life.workspace_register import complete_register, register_change
 from keymint.names import package_name, subject_of
+from keymint.output.report import members
 from keymint.store.changes import Action, Plan, Step
 from keymint.workspace.session import Session
 
@@ -44,13 +45,23 @@ def issued_certificates(
         for each in register.certificates.values()
         if (not chosen or each.name in chosen) and (each.revoked or not revoked)
     ]
-    documents = [document(each) for each in entries]
+    documents = [certificate_json(each) for each in entries]
     columns = {"SUBJECT": "subject", "GENERATION": "generation", "SERIAL": "serial", "NOT AFTER": "not_after"}
     rows = [each | {"state": _state(each, session.now)} for each in documents]
     run.console.table(columns | {"STATE": "state"}, rows)
     if not rows:
         run.console.line("no certificates")
     return run.report({"certificates": documents}, workspace=session.workspace)
+
+
+def certificate_json(each: IssuedCertificate) -> dict[str, Any]:
+    """Return the entry of a certificate for ``--json``; serial numbers are hexadecimal."""
+    return {
+        "serial": f"{each.serial:x}",
+        "authority": each.authority,
+        "subject": subject_of(each.name) if each.name else None,
+        **members(each, "generation", "not_before", "not_after", "key", "rights", "revoked", "reason"),
+    }
 
 
 def _state(certificate: Mapping[str, Any], now: datetime) -> str:

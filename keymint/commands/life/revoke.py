@@ -13,11 +13,11 @@ from comarmor.errors import Severity
 from comarmor.text import quantity
 from keymint.command_line.options import complete_package, prove_option
 from keymint.command_line.verb import Report, Run, argument, option, verb
+from keymint.commands.life.issued import certificate_json
 from keymint.errors import KeymintError
 from keymint.life.package_issuance import Revoking, plan_revocation
-from keymint.life.register import REASONS, SUPERSEDED, IssuedCertificate
+from keymint.life.register import REASONS, SUPERSEDED
 from keymint.names import package_name, subject_list, subject_of
-from keymint.output.report import members
 from keymint.stages.pipeline import Request, conduct, updated_packages
 from keymint.stages.work import InstallRequest, Work
 from keymint.store.changes import Plan
@@ -57,7 +57,7 @@ def revoke(
 
     report, (revoking, plan) = run.made(make_plan)
     result: dict[str, Sequence[Any]] = {
-        "revoked": [document(each) for each in revoking.certificates],
+        "revoked": [certificate_json(each) for each in revoking.certificates],
         "restart": [subject_of(name) for name in updated_packages(plan) if name not in chosen],
         "shared": [
             run.workspace().shown(change.folder / file)
@@ -89,13 +89,3 @@ def _lines(run: Run, revoking: Revoking, result: Mapping[str, Sequence[Any]], re
     elif reason != SUPERSEDED and revoking.packages:
         barred = subject_list([*map(subject_of, revoking.packages)])
         yield f"nothing is issued for {barred} until 'keymint renew --rekey'"
-
-
-def document(each: IssuedCertificate) -> dict[str, Any]:
-    """Return the entry of a certificate for ``--json``; serial numbers are hexadecimal."""
-    return {
-        "serial": f"{each.serial:x}",
-        "authority": each.authority,
-        "subject": subject_of(each.name) if each.name else None,
-        **members(each, "generation", "not_before", "not_after", "key", "rights", "revoked", "reason"),
-    }
