@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import string
 from collections.abc import Iterable, Iterator, Sequence
+from itertools import count
+from operator import itemgetter
 
 from comarmor.patterns.decision_lists import Block, DecisionList, Equal, ProofResult, SearchBudget, Universe
 from comarmor.patterns.expression import exact, rule_matches, rule_matches_partition
@@ -118,9 +120,7 @@ class ListComparison:
     def __init__(self, old: DecisionList, new: DecisionList) -> None:
         (denied, allowed), (still_denied, _) = ([*map(set, (block.patterns for block in side))] for side in (old, new))
         self._allowed, self._lifted = allowed, denied - still_denied
-        self._sides = [
-            [(block, PatternIndex((each, None) for each in block.patterns)) for block in side] for side in (old, new)
-        ]
+        self._sides = [[(block, PatternIndex(zip(block.patterns, count()))) for block in side] for side in (old, new)]
 
     def may_gain(self, pattern: Glob) -> bool:
         """Return False if the older list surely allows all of a pattern that the newer one allows.
@@ -130,11 +130,12 @@ class ListComparison:
         return pattern not in self._allowed or not all(disjoint(pattern, each) for each in self._lifted)
 
     def near(self, pattern: Glob) -> list[DecisionList]:
-        """Return both lists without patterns that surely have no word in common with a pattern."""
-        return [
-            tuple(Block(block.allows, tuple(each for each, _ in index.candidates(pattern))) for block, index in side)
+        """Return both lists, in their order, without patterns that surely have no word in common with a pattern."""
+        met = [
+            [(block, sorted(index.candidates(pattern), key=itemgetter(1))) for block, index in side]
             for side in self._sides
         ]
+        return [tuple(Block(block.allows, tuple(each for each, _ in found)) for block, found in side) for side in met]
 
 
 def deny_over_allow(denied: Iterable[Glob], allowed: Iterable[Glob]) -> DecisionList:

@@ -33,7 +33,6 @@ def attachment_mistakes(written: PolicyStructure) -> Iterator[Diagnostic]:
     # A profile of a file that is included several times counts once.
     profiles = list({(each.where.spot, each.around): each for each in written.profiles}.values())
     by_name: dict[tuple[_Chain, str], WrittenProfile] = {}
-    by_attachments: dict[tuple[_Chain, str, frozenset[str]], WrittenProfile] = {}
     for each in profiles:
         other = by_name.setdefault((each.around, each.name), each)
         if other is not each:
@@ -44,7 +43,9 @@ def attachment_mistakes(written: PolicyStructure) -> Iterator[Diagnostic]:
                 "rename one, or merge them; if one is a copy with an unchanged attachment, it gives its rights to the "
                 "subjects of the other",
             )
-        # Profiles of one file with the same exact attachments; another file may extend a profile.
+    # Profiles of one file with the same exact attachments; another file may extend a profile.
+    by_attachments: dict[tuple[_Chain, str, frozenset[str]], WrittenProfile] = {}
+    for each in profiles:
         texts = frozenset(_texts(each))
         if any(literal(parse(text)) is None for text in texts):
             continue
