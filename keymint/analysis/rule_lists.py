@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import string
 from collections.abc import Iterable, Iterator, Sequence
+from functools import cached_property
 from itertools import count
 from operator import itemgetter
 
@@ -120,7 +121,12 @@ class ListComparison:
     def __init__(self, old: DecisionList, new: DecisionList) -> None:
         (denied, allowed), (still_denied, _) = ([*map(set, (block.patterns for block in side))] for side in (old, new))
         self._allowed, self._lifted = allowed, denied - still_denied
-        self._sides = [[(block, PatternIndex(zip(block.patterns, count()))) for block in side] for side in (old, new)]
+        self._lists = (old, new)
+
+    @cached_property
+    def _sides(self) -> list[list[tuple[Block, PatternIndex[int]]]]:
+        """The blocks of both lists, with the numbers of their patterns; few comparisons need them."""
+        return [[(block, PatternIndex(zip(block.patterns, count()))) for block in side] for side in self._lists]
 
     def may_gain(self, pattern: Glob) -> bool:
         """Return False if the older list surely allows all of a pattern that the newer one allows.
