@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import click
@@ -66,9 +66,9 @@ def no_packages(session: Session) -> Diagnostic:
     )
 
 
-def unknown_hints(hints: Iterable[Hint], file: Path | None, names: Iterable[str]) -> tuple[Diagnostic, ...]:
+def unknown_hints(hints: Sequence[Hint], file: Path | None, names: Iterable[str]) -> tuple[Diagnostic, ...]:
     """Return a warning for each subject of the hints in a file without a package."""
-    known = [subject_of(name) for name in names]
+    known = [subject_of(name) for name in names] if hints else []  # few builds have hints
     return tuple(
         Diagnostic.warning(
             "hints-subject",
