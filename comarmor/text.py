@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Text for messages: escaped, quote, quantity, with the nearest known word, and safe for JSON."""
+"""Text for messages: escaped, quoted, counted, with the nearest known word, and safe for JSON."""
 
 from __future__ import annotations
 

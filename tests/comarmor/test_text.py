@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Text of messages: escaped, quote, quantity, with suggestions."""
+"""Text of messages: escaped, quoted, counted, with suggestions."""
 
 from __future__ import annotations
 
