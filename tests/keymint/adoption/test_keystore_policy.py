@@ -70,6 +70,7 @@ def test_what_is_learned(keystore) -> None:
     assert b"<attachment>/x</attachment>" in document
     assert [each.rules.subject for each in granted] == ["/a"]
     assert diagnostics == ()
+    assert "PRIVATE" not in repr((granted, diagnostics))
 
 
 def test_a_policy_that_means_something_else_is_not_returned(keystore) -> None:
