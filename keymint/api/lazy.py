@@ -3,8 +3,11 @@
 
 from __future__ import annotations
 
+from functools import cache
 from importlib import import_module
 from typing import Any
+
+_module = cache(import_module)
 
 
 def lazy(target: str) -> Any:
@@ -16,6 +19,6 @@ def lazy(target: str) -> Any:
     module, _, name = target.partition(":")
 
     def call(*arguments: Any, **options: Any) -> Any:
-        return getattr(import_module(module), name)(*arguments, **options)
+        return getattr(_module(module), name)(*arguments, **options)
 
     return staticmethod(call)

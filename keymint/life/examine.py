@@ -81,8 +81,10 @@ def replaced_rights(
                 note = outliving_rights(session, package.name, package.subject, excess, until)
                 yield replace(note, severity=Severity.WARNING)
         for layout in build_type.LAYOUTS.values() if session.state.stamp(INSTALLED, package.name) is None else ():
-            folder = session.workspace.install / layout.enclaves / package.name
-            there = {file: session.tree.try_read(folder / file) or b"" for file in after}
+            folder = f"{session.workspace.install / layout.enclaves}/{package.name}"
+            if not session.tree.try_read(f"{folder}/{CERTIFICATE}"):
+                continue  # without it nobody can present the rest, and a new fleet has nothing there
+            there = {file: session.tree.try_read(f"{folder}/{file}") or b"" for file in after}
             if found := _compared(build_type, package, there, after, there[CERTIFICATE]):
                 lost, gained = found[0].excess, found[0].missing
                 said = [f"only the former ones permit to {_endpoint(lost)}"] if lost else []
