@@ -108,7 +108,8 @@ def days_left(end: datetime, now: datetime) -> str:
 def terms_of(terms: Sequence[ValidityTerm], models: Collection[str]) -> tuple[ValidityTerm, ...]:
     """Return the terms that apply to some models; vendors may read one date differently."""
     applicable = [(term, tuple(model for model in term.models if model in models)) for term in terms]
-    return tuple(replace(term, models=own) for term, own in applicable if own or not term.models)
+    chosen = ((term, own) for term, own in applicable if own or not term.models)
+    return tuple(term if own == term.models else replace(term, models=own) for term, own in chosen)
 
 
 def end(terms: Sequence[ValidityTerm], now: datetime) -> datetime | None:

@@ -84,8 +84,8 @@ def by_folder(root: Path, files: Mapping[str, File]) -> dict[Path, dict[str, Fil
     """Return files, given by path relative to a folder, by the folder that each lies in."""
     folders: dict[Path, dict[str, File]] = {}
     for path, file in files.items():
-        target = root / path
-        folders.setdefault(target.parent, {})[target.name] = file
+        inner, _, name = path.rpartition("/")
+        folders.setdefault(root / inner if inner else root, {})[name] = file
     return folders
 
 

@@ -85,8 +85,11 @@ def create(folder: int, shown: str | Path, name: str, file: File, owner: tuple[i
         if file.link:
             os.symlink(file.link, name, dir_fd=folder)
             return
-        with open_at(name, folder, NEW_FILE) as opened:
+        opened = os.open(name, NEW_FILE, 0o600, dir_fd=folder)
+        try:
             fill(opened, file, owner)
+        finally:
+            os.close(opened)
     except OSError as error:
         refuse(f"{shown}/{name}", error)
 
