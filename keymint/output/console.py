@@ -7,7 +7,7 @@ import io
 import itertools
 import json
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from datetime import datetime
@@ -108,11 +108,17 @@ class Console:
         if self._verbosity >= 0:
             self._steps(report)
 
-    def rendered(self, report: Report) -> tuple[str, str]:
-        """Return what a report shows as results and as diagnostics."""
+    def rendered(self, report: Report, show: Callable[[Console], None] = lambda _: None) -> tuple[str, str]:
+        """Return what a report shows as results and as diagnostics.
+
+        Args:
+            report: the report.
+            show: shows what the verb shows before it.
+        """
         out, err = io.StringIO(), io.StringIO()
-        streams = replace(self._streams, out=out, err=err)
-        Console(streams, verbosity=self._verbosity, as_json=self._json).show(report)
+        console = Console(replace(self._streams, out=out, err=err), verbosity=self._verbosity, as_json=self._json)
+        show(console)
+        console.show(report)
         return out.getvalue(), err.getvalue()
 
     def diagnostic(self, diagnostic: Diagnostic, *, notes: bool = False) -> None:

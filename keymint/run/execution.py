@@ -18,8 +18,9 @@ import itertools
 import os
 import pickle
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import fields, is_dataclass, replace
+from datetime import datetime
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, cast
 
@@ -341,16 +342,31 @@ def remember(
     workspace = inputs.workspace
     changed = [item for space in (workspace.profile, workspace.public) for item in plan.overlay(f"{space}/")]
     session = replace(inputs, tree=inputs.tree.overlaid(changed), state=plan.state).session()
+    record_answer(call, session, sight, (), Answer(*console.rendered(expected), int(expected.exit_code)), store)
+
+
+def record_answer(
+    call: Call, session: Session, sight: Sight, dates: Iterable[datetime], answer: Answer, store: Store
+) -> None:
+    """Record what a command will print as long as nothing changes.
+
+    Args:
+        call: the command, which is recordable.
+        session: the workspace as the command left it, and its profile.
+        sight: its files.
+        dates: dates at which the answer may change, beside those of authorities and in the record.
+        answer: what the same command will print.
+        store: the writer.
+    """
     seen = recorded_files(session)
     if seen is None:
         return
     validities = [authority.certificate.validity for authority in session.profile.authorities]
-    dates = [date for each in validities for date in (each.not_before, each.not_after)]
-    dates += (each.next_update for each in loaded_lists(session).values())
-    answer = Answer(*console.rendered(expected), int(expected.exit_code))
-    content = record(call, str(workspace.root), sight, seen, dates, answer)
+    ends = (date for each in validities for date in (each.not_before, each.not_after))
+    updates = (each.next_update for each in loaded_lists(session).values())
+    content = record(call, str(session.workspace.root), sight, seen, (*dates, *ends, *updates), answer)
     if content is not None:
-        store.write(workspace.state, {name_of(call): File(content)})
+        store.write(session.workspace.state, {name_of(call): File(content)})
 
 
 def next_report(plan: Plan, report: Report) -> Report | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import field, replace
 from datetime import datetime
 from pathlib import Path
@@ -23,11 +23,11 @@ from keymint.names import package_name
 from keymint.output.console import Console, Streams
 from keymint.output.report import Report, merged_diagnostics
 from keymint.pki.tokens.token_sessions import Tokens
-from keymint.run.execution import RECORD, Workers, execute, open_store, remember, require_register
+from keymint.run.execution import RECORD, Workers, execute, open_store, record_answer, remember, require_register
 from keymint.store.changes import File, Plan, Step
 from keymint.store.journal import Journal, intent_of
 from keymint.store.store import LOCK, clock, path_lock
-from keymint.view.recorded_answers import Call, Sight
+from keymint.view.recorded_answers import Answer, Call, Sight, is_recordable
 from keymint.view.stamps import MAX_RECORD, State
 from keymint.view.stamps import load as load_state
 from keymint.view.tree import HeldError, Tree, read_file
@@ -112,6 +112,8 @@ class Run:
             space: folder for space in SPACES if (folder := options.get(f"{space}_space")) is not None
         }
         self.known_workspace: Workspace | None = None
+        self._sight: Sight | None = None
+        """The files before a verb that does not write reads them, if its answer may be recorded."""
         self.interrupted: Journal | None = None
         """The run before, if it did not come to its end."""
         self.folder_names = {f"{setting.cwd}/": ""}
@@ -178,6 +180,8 @@ class Run:
                 path_lock(workspace.state / LOCK, fcntl.LOCK_SH, waiting) as locked,
                 path_lock(workspace.private, fcntl.LOCK_SH, waiting),
             ):
+                if auditing and locked and is_recordable(self.setting.call, str(workspace.root)):
+                    self._sight = Sight.of(map(str, workspace.spaces()), clock(workspace.state))
                 inputs = self.inputs(workspace)
                 for space in workspace.spaces():
                     # Other files beside the XML may be large, and are never read.
@@ -389,6 +393,28 @@ class Run:
     def presented(self, report: Report) -> Report:
         """Return a report with all paths as the user would type them, and equal diagnostics merged."""
         return replace(report, diagnostics=merged_diagnostics([self.as_typed(each) for each in report.diagnostics]))
+
+    def remember(
+        self, session: Session, dates: Iterable[datetime], report: Report, show: Callable[[Console], None]
+    ) -> None:
+        """Record what a verb shows that does not write, for the same command.
+
+        Args:
+            session: the snapshot of the verb.
+            dates: dates at which it may show something else.
+            report: its report; one with diagnostics is not recorded.
+            show: shows what comes before the report.
+        """
+        sight = self._sight and self._sight.after((), self._sight.clock, self._sight.clock)
+        if not sight or not is_recordable(self.setting.call, str(session.workspace.root)):
+            return
+        out, err = self.console.rendered(report, show)
+        if err:  # results and diagnostics would be shown in another order
+            return
+        store, answer = open_store(session.workspace), Answer(out, err, int(report.exit_code))
+        with contextlib.suppress(KeymintError), store.locked(_refuse_to_wait):
+            if not store.is_marked():
+                record_answer(self.setting.call, session, sight, dates, answer, store)
 
     def keep(self, inputs: Inputs, state: State) -> tuple[Diagnostic, ...]:
         """Save the results of a verb that does not write, unless the workspace changed meanwhile.

@@ -27,7 +27,7 @@ from keymint import __version__
 from keymint.view.stamps import sealed_document, unsealed_document
 
 VERSION = 1
-VERBS = ("create", "build", "install", "provision")
+VERBS = ("create", "build", "install", "provision", "status")
 """The verbs whose answers are recorded."""
 _RECORDS, _RECORD, _MARK = ".keymint", "state.json", "running"
 _PROFILE = "profile/keymint_profile.xml"

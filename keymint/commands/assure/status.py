@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from datetime import datetime
+from datetime import datetime, timedelta
 from typing import Any
 
 import click
@@ -19,6 +19,7 @@ from keymint.examine.authorities import elsewhere, exposed_keys
 from keymint.examine.keystore import not_examined
 from keymint.examine.rights import has_earlier, presented_rights
 from keymint.life.terms import days_left
+from keymint.output.console import Console
 from keymint.output.openmetrics import gauges, openmetrics
 from keymint.output.report import members
 from keymint.stages.create import packages_to_create
@@ -62,10 +63,14 @@ def status(
             diagnostics += error.diagnostics
         missing = sorted(wanted - known)
     shared = [_as_typed(run, row) for row in shared_rows(session)]
-    if kind == "openmetrics":
-        run.console.lines(openmetrics(gauges(session, rows)))
-    else:
-        _show(run, rows, missing, shared)
+
+    def show(console: Console) -> None:
+        if kind == "openmetrics":
+            console.lines(openmetrics(gauges(session, rows)))
+        else:
+            _show(console, session.now, rows, missing, shared)
+
+    show(run.console)
     result = {
         "packages": [_document(row) for row in rows],
         "not_created": missing,
@@ -76,7 +81,17 @@ def status(
     diagnostics += (*elsewhere(session), *exposed_keys(session), *outliving, *unexamined)
     result["not_examined"] = len(unexamined)
     exit_code = findings_if(strict and outliving)
-    return run.report(result, diagnostics, exit_code, workspace=session.workspace, notes=True)
+    report = run.report(result, diagnostics, exit_code, workspace=session.workspace, notes=True)
+    if not diagnostics:
+        run.remember(session, _changes([*rows, *shared], session.now), report, show)
+    return report
+
+
+def _changes(rows: Sequence[StatusRow], now: datetime) -> Iterator[datetime]:
+    """Yield when the rows say something else: they count the days until each date."""
+    for row in rows:
+        for date in filter(None, (row.certificate_expires, row.permissions_expire, row.renew_after)):
+            yield now + (date - now) % timedelta(days=1)
 
 
 def _outliving(run: Run, session: Session, policy: LoadedPolicy) -> tuple[Diagnostic, ...]:
@@ -89,19 +104,21 @@ def _outliving(run: Run, session: Session, policy: LoadedPolicy) -> tuple[Diagno
         return ()
 
 
-def _show(run: Run, rows: Sequence[StatusRow], missing: Sequence[str], shared: Sequence[StatusRow]) -> None:
+def _show(
+    console: Console, now: datetime, rows: Sequence[StatusRow], missing: Sequence[str], shared: Sequence[StatusRow]
+) -> None:
     """Show a table, and the problems."""
-    now, columns = run.setting.now, ("PACKAGE", "STAGE", "STALE", "CERTIFICATE", "PERMISSIONS", "RENEW AFTER")
+    columns = ("PACKAGE", "STAGE", "STALE", "CERTIFICATE", "PERMISSIONS", "RENEW AFTER")
     cells = []
     for row in (*rows, *(StatusRow(name, "-", "create") for name in missing), *shared):
         title = row.package or ", ".join(row.documents) or row.build_type or "shared documents"
         ends = (_when(row.certificate_expires, now), _when(row.permissions_expire, now), _renewal(row, now))
         cells.append(dict(zip(columns, (title, row.stage, row.stale, *ends), strict=True)))
-    run.console.table(dict(zip(columns, columns, strict=True)), cells)
+    console.table(dict(zip(columns, columns, strict=True)), cells)
     problems = [(row.package or row.build_type or "shared documents", row.problem) for row in (*rows, *shared)]
-    run.console.lines(f"{whose}: {problem}" for whose, problem in problems if problem)
+    console.lines(f"{whose}: {problem}" for whose, problem in problems if problem)
     if not cells:
-        run.console.line("no packages; run 'keymint create --all'")
+        console.line("no packages; run 'keymint create --all'")
 
 
 def _as_typed(run: Run, row: StatusRow) -> StatusRow:

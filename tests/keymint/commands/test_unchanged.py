@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -12,6 +13,7 @@ import time
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -51,11 +53,11 @@ def settle() -> None:
     time.sleep(0.03)
 
 
-def carried_out(keymint: Callable[..., Outcome], workspace: Path, *arguments: object) -> Outcome:
+def carried_out(keymint: Callable[..., Outcome], workspace: Path, *arguments: object, **named: Any) -> Outcome:
     """Carry out a command that could be answered from its record."""
     for record in (workspace / ".keymint").glob("last-*.json"):
         record.unlink()
-    return keymint(*arguments)
+    return keymint(*arguments, **named)
 
 
 @pytest.mark.parametrize("options", [(), ("--json",), ("-vv",), ("-q",)], ids=" ".join)
@@ -105,6 +107,45 @@ def test_it_holds_inside_of_the_workspace_only_while_no_other_one_is_nearer(
     (just_provisioned / "src/profile/keymint_profile.xml").write_text("<profile/>")
     assert keymint("build", cwd=just_provisioned / "src").code != 0
     assert not recalled[-1]
+
+
+@pytest.mark.parametrize(
+    "options", [(), ("--json",), ("--format", "openmetrics"), ("-q",), ("--strict",)], ids=" ".join
+)
+def test_a_status_is_told_again_until_a_day_less_is_left(
+    keymint, recalled: list[bool], policy: Path, tmp_path: Path, options: tuple[str, ...]
+) -> None:
+    command = ("status", "-w", "ws", *options)
+    keymint("provision", policy, "-w", "ws")
+    settle()
+    first = keymint(*command, env=at(NOW + 100))
+    until = int(json.loads((tmp_path / "ws/.keymint/last-status.json").read_bytes())["until"])
+    assert NOW + 100 < until < NOW + 86_500
+    for moment in (NOW + 100, until - 1):
+        told = keymint(*command, env=at(moment))
+        assert recalled[-1]
+        assert told == first == carried_out(keymint, tmp_path / "ws", *command, env=at(moment))
+    last = keymint(*command, env=at(until + 1))
+    assert not recalled[-1]
+    assert (last.code, last.out != first.out) == (0, not options or options == ("--strict",))
+
+
+def test_a_status_with_a_note_or_of_changed_files_is_carried_out(
+    keymint, recalled: list[bool], just_provisioned: Path
+) -> None:
+    settle()
+    for expected in (False, True):
+        assert "install" in keymint("status", cwd=just_provisioned, env=at(NOW + 1)).out
+        assert recalled[-1] == expected
+    edit(just_provisioned / "install/enclaves/talker/governance.p7s")
+    for _ in range(2):
+        assert keymint("status", cwd=just_provisioned, env=at(NOW + 1)).out.count("  install  ") == 1
+        settle()
+    (just_provisioned / "private/identity_ca.key.pem").unlink()
+    settle()
+    for _ in range(2):
+        assert "note: " in keymint("status", cwd=just_provisioned, env=at(NOW + 1)).err
+        assert not recalled[-1]
 
 
 # -- what undoes it --------------------------------------------------------------------------------------------------
