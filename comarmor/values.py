@@ -33,8 +33,14 @@ _FEW = 50
 def _made(given: type, *, frozen: bool = False, slots: bool = False, eq: bool = True, order: bool = False) -> Any:
     if not given.__doc__:  # or the library inspects the signature to make one
         given.__doc__ = given.__name__
+    annotations = given.__annotations__
+    # The library searches a text for names of its own, with regular expressions; only this one is used.
+    given.__annotations__ = {name: each if "ClassVar" in str(each) else None for name, each in annotations.items()}
     cls: Any = dataclasses.dataclass(init=False, repr=False, eq=False, slots=slots)(given)
+    cls.__annotations__ = annotations
     fields = dataclasses.fields(cls)
+    for field in fields:
+        field.type = annotations.get(field.name, field.type)
     own = vars(given)
     new: dict[str, Any] = {"__init__": _first_init(cls, fields, frozen=frozen), "__repr__": _repr}
     if eq:
