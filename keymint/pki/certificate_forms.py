@@ -9,6 +9,7 @@ from types import MappingProxyType
 
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.asymmetric import ec, padding
 from cryptography.x509.oid import ExtendedKeyUsageOID, ExtensionOID
 
 from comarmor.errors import Diagnostic, Origin
@@ -16,11 +17,11 @@ from comarmor.text import quote
 from comarmor.values import dataclass
 from keymint.api import CertificateSpec, Validity
 from keymint.errors import KeymintError
-from keymint.pki import distinguished_names, extensions, keys
+from keymint.pki import der, distinguished_names, extensions, keys
 from keymint.pki.distinguished_names import to_text
 
-_Hash = hashes.SHA256 | hashes.SHA384 | hashes.SHA512
-HASHES: Mapping[str, _Hash] = MappingProxyType(
+Hash = hashes.SHA256 | hashes.SHA384 | hashes.SHA512
+HASHES: Mapping[str, Hash] = MappingProxyType(
     {"SHA256": hashes.SHA256(), "SHA384": hashes.SHA384(), "SHA512": hashes.SHA512()}
 )
 """Hash algorithms of certificates. The others than SHA256 are for keys that only some software accepts."""
@@ -40,7 +41,7 @@ class Form:
     subject: x509.Name
     issuer: x509.Name
     validity: Validity
-    hash_algorithm: _Hash
+    hash_algorithm: Hash
     extensions: _Values
     diagnostics: tuple[Diagnostic, ...] = ()
 
@@ -101,6 +102,53 @@ def form(
         extensions=_extensions(spec, extensions.Context(public_key, issuer), authority=authority),
         diagnostics=diagnostics,
     )
+
+
+def common_parts(certificate: x509.Certificate) -> tuple[bytes, ...]:
+    """Return what the DER of a certificate shares with one for another name and key; see :func:`spliced`.
+
+    It is derived from what the library wrote. The identifier of the key must be its hash, as it is by default.
+
+    Returns:
+        The version; the algorithm, and this with issuer and validity; the extensions before and after the identifier.
+        Nothing if the identifier's place is not certain.
+    """
+    fields = der.elements(der.single(certificate.tbs_certificate_bytes, der.SEQUENCE))
+    identifier = extensions.value(certificate, x509.SubjectKeyIdentifier)
+    around = fields[-1].split(identifier.digest) if identifier else []
+    return (fields[0], fields[2], b"".join(fields[2:5]), *around) if len(around) == 2 else ()  # noqa: PLR2004 - once
+
+
+def spliced(
+    parts: tuple[bytes, ...], digest: Hash, subject: x509.Name, public_key: keys.PublicKey, signer: keys.PrivateKey
+) -> bytes:
+    """Return a certificate in DER: the one that the library would write, at a third of the cost.
+
+    Args:
+        parts: what :func:`common_parts` returns for another certificate of this issuer.
+        digest: the hash algorithm of the signature.
+        subject: the subject.
+        public_key: the key to certify.
+        signer: the issuer's private key.
+    """
+    version, algorithm, middle, before, after = parts
+    serial = x509.random_serial_number()
+    body = der.tlv(
+        der.SEQUENCE,
+        version,
+        der.tlv(der.INTEGER, serial.to_bytes(serial.bit_length() // 8 + 1, "big")),
+        middle,
+        subject.public_bytes(),
+        keys.encoded(public_key),
+        before,
+        x509.SubjectKeyIdentifier.from_public_key(public_key).digest,
+        after,
+    )
+    if isinstance(signer, ec.EllipticCurvePrivateKey):
+        signature = signer.sign(body, ec.ECDSA(digest))
+    else:
+        signature = signer.sign(body, padding.PKCS1v15(), digest)
+    return der.tlv(der.SEQUENCE, body, algorithm, der.tlv(der.BIT_STRING, b"\0", signature))
 
 
 def validity_within(validity: Validity, issuer: x509.Certificate | None) -> Validity:

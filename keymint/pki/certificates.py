@@ -19,7 +19,7 @@ from comarmor.text import quote
 from comarmor.values import dataclass
 from keymint.api import CertificateSpec
 from keymint.errors import KeymintError
-from keymint.pki import certificate_forms, distinguished_names, extensions, keys
+from keymint.pki import certificate_forms, der, distinguished_names, extensions, keys
 from keymint.pki.distinguished_names import to_text
 
 MAX_BYTES = 1 << 20
@@ -38,6 +38,10 @@ UNREADABLE = (
 )
 """What the library raises on a damaged certificate or revocation list."""
 _CERTIFICATE, _LIST = b"CERTIFICATE", b"X509 CRL"
+_PEM = b"-----BEGIN CERTIFICATE-----\n%b-----END CERTIFICATE-----\n"
+_TEMPLATES: dict[tuple[object, ...], tuple[tuple[bytes, ...], certificate_forms.Hash]] = {}
+"""What certificates of identities have in common, and the hash algorithm of their signatures, by :func:`_kind`."""
+_MOST_TEMPLATES = 64
 _BLOCK = lazy_regex(rb"^-----BEGIN (%b|%b)-----\n[^-]*^-----END \1-----$" % (_CERTIFICATE, _LIST), re.MULTILINE)
 """A certificate, or a revocation list, which may follow the certificates of authorities in their file."""
 
@@ -227,6 +231,11 @@ def issue(
         KeymintError: the specification cannot be issued; with its origin.
     """
     issuer, signing_key = (signer.certificate, signer.key) if isinstance(signer, Issuer) else (None, signer)
+    kind = _kind(spec, signer, authority=authority)
+    if kind in _TEMPLATES:
+        subject = distinguished_names.parse(spec.subject_name, spec.origin)
+        pem = _PEM % der.base64_lines(certificate_forms.spliced(*_TEMPLATES[kind], subject, public_key, signing_key))
+        return Issued(load(pem), pem)
     form = certificate_forms.form(spec, public_key, issuer, authority=authority)
     certificate = form.signed(spec.serial, public_key, signing_key)
     try:
@@ -238,7 +247,21 @@ def issue(
             help="correct the value after DER:",
             code="extension-invalid",
         ) from None
+    parts = certificate_forms.common_parts(certificate) if kind and not form.diagnostics else ()
+    if parts:
+        if len(_TEMPLATES) >= _MOST_TEMPLATES:
+            _TEMPLATES.clear()
+        _TEMPLATES[kind] = parts, form.hash_algorithm
     return Issued(certificate, to_pem(certificate), form.diagnostics)
+
+
+def _kind(spec: CertificateSpec, signer: Issuer | keys.PrivateKey, *, authority: bool) -> tuple[object, ...]:
+    """Return what an identity's certificate depends on beside its subject, key and serial number; empty if on more."""
+    if authority or not isinstance(signer, Issuer) or not keys.is_in_memory(signer.key):
+        return ()
+    if spec.serial is not None or any(each.name == "subjectKeyIdentifier" for each in spec.extensions):
+        return ()
+    return signer.certificate, spec.validity, spec.hash_algorithm, spec.extensions
 
 
 def certificate_satisfies(

@@ -12,6 +12,7 @@ import base64
 from cryptography import x509
 
 INTEGER = 0x02
+BIT_STRING = 0x03
 OCTET_STRING = 0x04
 NULL = 0x05
 UTF8_STRING = 0x0C

@@ -100,6 +100,11 @@ def generate(spec: KeySpec, where: Origin | None = None) -> PrivateKey:
     return ec.generate_private_key(curve) if curve else rsa.generate_private_key(_PUBLIC_EXPONENT, spec.size)
 
 
+def is_in_memory(key: PrivateKey) -> bool:
+    """Return whether a private key is the library's own, not one in a token."""
+    return type(key).__module__.startswith("cryptography.")
+
+
 def kind_of(key: PrivateKey | PublicKey) -> KeySpec:
     """Return the algorithm, and the curve or size, of a key; the curve need not be one of :data:`CURVES`."""
     if isinstance(key, rsa.RSAPrivateKey | rsa.RSAPublicKey):
@@ -187,7 +192,7 @@ def _known(pem: bytes, where: Origin | None = None) -> tuple[bytes, bool]:
 def _remember(pem: bytes, key: PublicKey, *, canonical: bool) -> None:
     if len(_KNOWN) >= _MOST:
         _KNOWN.clear()
-    _KNOWN[hashlib.sha256(pem).digest()] = _encoded(key), canonical
+    _KNOWN[hashlib.sha256(pem).digest()] = encoded(key), canonical
 
 
 def matches(key: PrivateKey | PublicKey, certificate: x509.Certificate) -> bool:
@@ -197,10 +202,11 @@ def matches(key: PrivateKey | PublicKey, certificate: x509.Certificate) -> bool:
 
 def fingerprint(key: PrivateKey | PublicKey) -> str:
     """Return the SHA-256, in hex, of the public key of a pair (SubjectPublicKeyInfo in DER; RFC 5280, 4.1.2.7)."""
-    return hashlib.sha256(_encoded(key if isinstance(key, PublicKey) else key.public_key())).hexdigest()
+    return hashlib.sha256(encoded(key if isinstance(key, PublicKey) else key.public_key())).hexdigest()
 
 
-def _encoded(key: PublicKey) -> bytes:
+def encoded(key: PublicKey) -> bytes:
+    """Return a public key in DER, SubjectPublicKeyInfo."""
     return key.public_bytes(serialization.Encoding.DER, serialization.PublicFormat.SubjectPublicKeyInfo)
 
 
