@@ -181,7 +181,11 @@ def of_sources(by_package: Mapping[str, Iterable[Term]], session: Session) -> tu
         own = _lifetime("authority", specs[name].validity, specs[name].issuer, specs[name].origin)
         terms.append((own, f"certificate of the authority {name!r}", ""))
     warnings: list[Diagnostic] = []
+    quiet: set[Term] = set()  # most packages have the same lifetimes
     for each, what, subject in terms:
+        if each in quiet:
+            continue
+        before = len(warnings)
         term = ValidityTerm(each.what, f"the {what}", each.where, ((each.first, each.last),))
         warnings += (replace(found, severity=Severity.WARNING) for found in findings([term], session.now, subject))
         spec = specs.get(each.issuer)
@@ -193,6 +197,8 @@ def of_sources(by_package: Mapping[str, Iterable[Term]], session: Session) -> tu
             )
             help_ = "let it end with its authority, or extend the authority"
             warnings.append(Diagnostic.warning(f"{each.what}-outlives-authority", message, each.where, help_, subject))
+        if len(warnings) == before:
+            quiet.add(each)
     return tuple(dict.fromkeys(warnings))
 
 
