@@ -105,7 +105,7 @@ def form(
 
 
 def common_parts(certificate: x509.Certificate) -> tuple[bytes, ...]:
-    """Return what the DER of a certificate shares with one for another name and key; see :func:`spliced`.
+    """Return what the DER of a certificate shares with one for another name and key; see :func:`fill`.
 
     It is derived from what the library wrote. The identifier of the key must be its hash, as it is by default.
 
@@ -119,7 +119,7 @@ def common_parts(certificate: x509.Certificate) -> tuple[bytes, ...]:
     return (fields[0], fields[2], b"".join(fields[2:5]), *around) if len(around) == 2 else ()  # noqa: PLR2004 - once
 
 
-def spliced(
+def fill(
     parts: tuple[bytes, ...], digest: Hash, subject: x509.Name, public_key: keys.PublicKey, signer: keys.PrivateKey
 ) -> bytes:
     """Return a certificate in DER: the one that the library would write, at a third of the cost.
@@ -139,7 +139,7 @@ def spliced(
         der.tlv(der.INTEGER, serial.to_bytes(serial.bit_length() // 8 + 1, "big")),
         middle,
         subject.public_bytes(),
-        keys.encoded(public_key),
+        keys.public_der(public_key),
         before,
         x509.SubjectKeyIdentifier.from_public_key(public_key).digest,
         after,

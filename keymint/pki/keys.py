@@ -192,7 +192,7 @@ def _known(pem: bytes, where: Origin | None = None) -> tuple[bytes, bool]:
 def _remember(pem: bytes, key: PublicKey, *, canonical: bool) -> None:
     if len(_KNOWN) >= _MOST:
         _KNOWN.clear()
-    _KNOWN[hashlib.sha256(pem).digest()] = encoded(key), canonical
+    _KNOWN[hashlib.sha256(pem).digest()] = public_der(key), canonical
 
 
 def matches(key: PrivateKey | PublicKey, certificate: x509.Certificate) -> bool:
@@ -202,10 +202,10 @@ def matches(key: PrivateKey | PublicKey, certificate: x509.Certificate) -> bool:
 
 def fingerprint(key: PrivateKey | PublicKey) -> str:
     """Return the SHA-256, in hex, of the public key of a pair (SubjectPublicKeyInfo in DER; RFC 5280, 4.1.2.7)."""
-    return hashlib.sha256(encoded(key if isinstance(key, PublicKey) else key.public_key())).hexdigest()
+    return hashlib.sha256(public_der(key if isinstance(key, PublicKey) else key.public_key())).hexdigest()
 
 
-def encoded(key: PublicKey) -> bytes:
+def public_der(key: PublicKey) -> bytes:
     """Return a public key in DER, SubjectPublicKeyInfo."""
     return key.public_bytes(serialization.Encoding.DER, serialization.PublicFormat.SubjectPublicKeyInfo)
 
