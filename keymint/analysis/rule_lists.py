@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import string
 from collections.abc import Iterable, Iterator, Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import count
 from operator import itemgetter
 
@@ -52,9 +52,15 @@ def legal_names(kind: str) -> DecisionList:
     return _RAW_NAMES if kind == RAW else _ROS_NAMES
 
 
-def permission_keys(rule: Rule) -> Iterator[PermissionKey]:
-    """Yield the kinds and permissions of a rule, with composite permissions replaced by their parts."""
-    yield from dict.fromkeys((kind, part) for each in rule.permissions for kind, part, _ in parts(rule.kind, each))
+def permission_keys(rule: Rule) -> tuple[PermissionKey, ...]:
+    """Return the kinds and permissions of a rule, with composite permissions replaced by their parts."""
+    return _keys(rule.kind, tuple(rule.permissions))
+
+
+@lru_cache
+def _keys(kind: str, permissions: tuple[str, ...]) -> tuple[PermissionKey, ...]:
+    found = ((part_kind, part) for each in permissions for part_kind, part, _ in parts(kind, each))
+    return tuple(dict.fromkeys(found))
 
 
 def part_patterns(kind: str, permission: str, objects: Glob) -> Iterator[tuple[PermissionKey, Glob]]:

@@ -9,6 +9,7 @@ policy allows to any of these subjects.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from functools import lru_cache
 from operator import itemgetter
 
 from comarmor.patterns.decision_lists import Witness
@@ -189,8 +190,14 @@ def _with_overlaps(wild: Sequence[Glob], given_up: list[str]) -> list[Glob]:
 
 def expressions_for(clause: WrittenRule, subject: str) -> tuple[str, ...]:
     """Return the expressions of a rule for a subject."""
+    return clause.expand(*_namespace_and_name(subject))
+
+
+@lru_cache
+def _namespace_and_name(subject: str) -> tuple[str, str]:
+    """Return both parts of the name of a subject as expressions."""
     head, _, last = subject.rpartition("/")
-    return clause.expand(pattern_text((f"{head}/",)), pattern_text((last,)))
+    return pattern_text((f"{head}/",)), pattern_text((last,))
 
 
 def fixed_expressions(clause: WrittenRule) -> tuple[str, ...]:

@@ -128,6 +128,9 @@ class _Clauses(Sequence[WrittenRule]):
     def __getitem__(self, index: Any) -> Any:
         return self._made[index]
 
+    def __iter__(self) -> Iterator[WrittenRule]:
+        return iter(self._made)
+
     def __len__(self) -> int:
         return len(self._made)
 

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from comarmor.errors import Diagnostic, Origin
 from comarmor.patterns.glob import Glob, literal, parse
 from comarmor.patterns.pattern_index import PatternIndex
-from comarmor.patterns.steps import StepLimitError, spend, step_limit
+from comarmor.patterns.steps import StepLimitError, spend, step_counting_cache, step_limit
 from comarmor.regex import lazy_regex
 from comarmor.rules import KIND_OF, Effect
 from keymint.analysis.lint.findings import ExpressionOrigins, undecided_note
@@ -148,7 +148,9 @@ class _CandidateNames:
                 words = _DIGITS.sub("", name)
                 self._by_words[words].append(name)
                 self._by_numbers[words, tuple(_DIGITS.findall(name))].append(name)
-        self._words = NameTrie(self._by_words)
+        trie = NameTrie(self._by_words)
+        # Names of a fleet differ in numbers only, so most have the same words.
+        self._near = step_counting_cache(lambda words, most: tuple(trie.near(words, most)))
 
     def nearest(self, name: str, most: int, given_up: list[str]) -> str | None:
         """Return the most similar name within some edits that does not differ only in numbers.
@@ -165,8 +167,8 @@ class _CandidateNames:
         words, numbers = _DIGITS.sub("", name), tuple(_DIGITS.findall(name))
         best = (0.0, "")
         try:
-            with step_limit(STEPS):
-                for other in self._words.near(words, most):
+            with step_limit(STEPS + 1):  # one is for the look at what is known
+                for other in self._near(words, most):
                     likely = self._by_numbers.get((other, numbers)) or self._by_words[other][:_FEW]
                     for near in likely if other != words else ():
                         spend(len(name))

@@ -63,30 +63,37 @@ _Side = tuple[PermissionKey, Effect]
 
 
 class _RuleAnalysis:
-    """The rules of one subject.
+    """The rules of one subject; of those that many subjects have, few are asked about for each of them.
 
     Attributes:
         expanded: rule, text and attachment of each expression.
-        patterns: patterns of each expression, each with a kind and permission.
-        index: all patterns with their expressions.
     """
 
     def __init__(self, rules: Sequence[Rule], subject: str, attachments: ExpressionOrigins) -> None:
         self.expanded: dict[_RuleExpression, tuple[Rule, str, Origin]] = {}
-        self.patterns: dict[_RuleExpression, dict[tuple[PermissionKey, Glob], None]] = {}
-        sides: dict[_Side, list[tuple[Glob, _RuleExpression]]] = defaultdict(list)
+        self._texts: dict[_RuleExpression, list[tuple[Rule, str]]] = defaultdict(list)
+        self._index: dict[_Side, PatternIndex[_RuleExpression]] = {}
         for rule in rules:
             attached = attachments.of(rule, subject)
             for text in rule.expressions:
                 attachment = attached[text]
                 expression = _RuleExpression(rule.origin.spot, rule.effect, attachment.where.spot, attachment.number)
                 self.expanded.setdefault(expression, (rule, text, attachment.where))
-                patterns = self.patterns.setdefault(expression, {})
-                for key in permission_keys(rule):
-                    for pattern in rule_patterns(rule, text, key):
-                        patterns[key, pattern] = None
-                        sides[key, rule.effect].append((pattern, expression))
-        self.index = {side: PatternIndex(items) for side, items in sides.items()}
+                self._texts[expression].append((rule, text))
+
+    def patterns(self, expression: _RuleExpression) -> Iterable[tuple[PermissionKey, Glob]]:
+        """Return the patterns of an expression, each with a kind and permission."""
+        keyed = ((rule, text, key) for rule, text in self._texts[expression] for key in permission_keys(rule))
+        return dict.fromkeys((key, pattern) for rule, text, key in keyed for pattern in rule_patterns(rule, text, key))
+
+    def index(self, key: PermissionKey, effect: Effect) -> PatternIndex[_RuleExpression]:
+        """Return the patterns of a kind, permission and effect with their expressions."""
+        if (key, effect) not in self._index:
+            of_effect = ((each, texts) for each, texts in self._texts.items() if each.effect is effect)
+            having = ((each, *of) for each, texts in of_effect for of in texts if key in permission_keys(of[0]))
+            items = ((pattern, each) for each, rule, text in having for pattern in rule_patterns(rule, text, key))
+            self._index[key, effect] = PatternIndex(items)
+        return self._index[key, effect]
 
 
 class RedundantRules:
@@ -186,12 +193,11 @@ class RedundantRules:
     def _overlapping(
         self, subject: str, key: PermissionKey, effect: Effect, pattern: Glob
     ) -> Iterator[tuple[Glob, _RuleExpression]]:
-        index = self._subjects[subject].index.get((key, effect))
-        return iter(()) if index is None else index.meeting(pattern)
+        return self._subjects[subject].index(key, effect).meeting(pattern)
 
     def _is_covered(self, subject: str, expression: _RuleExpression, effect: Effect) -> bool:
         """Return True if other rules of an effect match all that an expression matches."""
-        for key, pattern in self._subjects[subject].patterns[expression]:
+        for key, pattern in self._subjects[subject].patterns(expression):
             overlapping = self._overlapping(subject, key, effect, pattern)
             others = (other for other, owner in overlapping if owner != expression and owner not in self._removed)
             covering = Block(True, tuple(dict.fromkeys(others)))
@@ -202,7 +208,7 @@ class RedundantRules:
 
     def _denies_nothing(self, subject: str, expression: _RuleExpression) -> bool:
         """Return True if no rule allows anything that an expression denies."""
-        for key, pattern in self._subjects[subject].patterns[expression]:
+        for key, pattern in self._subjects[subject].patterns(expression):
             # Includes rules reported as shadowed: this expression may shadow them.
             others = dict.fromkeys(other for other, _ in self._overlapping(subject, key, Effect.ALLOW, pattern))
             allowed = (Block(True, tuple(others)),)
@@ -254,7 +260,7 @@ class RedundantRules:
         for each in expressions:
             subject = self._subjects_of[each][0]
             its_rules = self._subjects[subject]
-            for key, patterns in groupby(its_rules.patterns[each], key=itemgetter(0)):
+            for key, patterns in groupby(its_rules.patterns(each), key=itemgetter(0)):
                 overlapping = {
                     other for _, pattern in patterns for _, other in self._overlapping(subject, key, effect, pattern)
                 }
