@@ -336,6 +336,7 @@ def is_same(pem: bytes, other: bytes) -> bool:
     return certificate is not None and certificate == certificate_in(other)
 
 
+@functools.lru_cache(maxsize=16)
 def can_sign_documents(certificate: x509.Certificate, where: Origin | None = None) -> Diagnostic | None:
     """Return why an authority may not sign documents, or None if it may.
 

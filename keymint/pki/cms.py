@@ -7,6 +7,7 @@ supports: every field is either compared with its one legal value, or covered by
 
 from __future__ import annotations
 
+import functools
 import hashlib
 from typing import NamedTuple
 
@@ -118,11 +119,8 @@ def parse(signature: bytes) -> Signature:
 
 def verify(signature: Signature, text: bytes, certificate: x509.Certificate) -> bool:
     """Return whether a signature over a text was made with a certificate, which must be the embedded one."""
-    fields = der.elements(der.single(certificate.tbs_certificate_bytes, der.SEQUENCE))
-    serial, _, issuer = fields[1:4] if fields[0][0] == der.CONTEXT_0 else fields[:3]
-    # The signature names it by IssuerAndSerialNumber (RFC 5652, 10.2.4), here with its exact bytes.
-    named = certificate.public_bytes(serialization.Encoding.DER), der.tlv(der.SEQUENCE, issuer, serial)
-    if (signature.certificate, signature.issuer_and_serial) != named or not _attributes_match(signature, text):
+    is_named = (signature.certificate, signature.issuer_and_serial) == identity_of(certificate)
+    if not is_named or not _attributes_match(signature, text):
         return False
     key, digest = certificate.public_key(), _DIGESTS[signature.digest]
     try:
@@ -135,6 +133,14 @@ def verify(signature: Signature, text: bytes, certificate: x509.Certificate) -> 
     except InvalidSignature:
         return False
     return True
+
+
+@functools.lru_cache(maxsize=16)
+def identity_of(certificate: x509.Certificate) -> tuple[bytes, bytes]:
+    """Return a certificate in DER, and how a signature names it: IssuerAndSerialNumber (RFC 5652, 10.2.4)."""
+    fields = der.elements(der.single(certificate.tbs_certificate_bytes, der.SEQUENCE))
+    serial, _, issuer = fields[1:4] if fields[0][0] == der.CONTEXT_0 else fields[:3]
+    return certificate.public_bytes(serialization.Encoding.DER), der.tlv(der.SEQUENCE, issuer, serial)
 
 
 def _attributes_match(signature: Signature, text: bytes) -> bool:

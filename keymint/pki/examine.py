@@ -193,7 +193,12 @@ def certificate_terms(files: Mapping[str, bytes], folder: str, names: Iterable[s
         content, where = enclave_file(files, folder, name), Origin(f"{folder}/{name}")
         code = "certificate" if name == CERTIFICATE else "authority"
         for each in certificates.load_bundle(content, where):
-            yield ValidityTerm(code, f"the certificate of {_shown(each.subject)}", where, (certificates.period(each),))
+            yield ValidityTerm(code, _titled(each), where, (certificates.period(each),))
+
+
+@lru_cache(maxsize=64)
+def _titled(certificate: x509.Certificate) -> str:
+    return f"the certificate of {_shown(certificate.subject)}"
 
 
 def utc_time(moment: datetime) -> str:
@@ -229,8 +234,9 @@ def verify_chain(
         problems += [problem] if problem else []
     except KeymintError as error:
         unread = error.diagnostics  # the certificate, or its authorities: then it is checked alone
-    for depth, link in enumerate(path):
-        problems += [*_certificate(link, at), *(_authority(link, path[1:depth]) if depth else ())]
+    problems += _certificate(path[0], at) if path else ()
+    for depth, link in enumerate(path[1:], 1):
+        problems += _link(link, at, tuple(path[1:depth]))
     return [*unread, *(Diagnostic.error(code, message, where, help_) for code, message, help_ in problems)]
 
 
@@ -296,6 +302,12 @@ def _certificate(certificate: x509.Certificate, at: datetime | None) -> Iterator
                 f"{_shown(certificate.subject)} has an unknown critical extension, {extension.oid.dotted_string}",
                 "make it not critical",
             )
+
+
+@lru_cache(maxsize=64)
+def _link(authority: x509.Certificate, at: datetime | None, below: tuple[x509.Certificate, ...]) -> Sequence[_Problem]:
+    """Check an authority of a path; arguments as for :func:`_certificate` and :func:`_authority`."""
+    return [*_certificate(authority, at), *_authority(authority, below)]
 
 
 def _authority(certificate: x509.Certificate, below: Sequence[x509.Certificate]) -> Iterator[_Problem]:

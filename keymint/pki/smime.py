@@ -48,7 +48,6 @@ from datetime import datetime
 from typing import NoReturn
 
 from cryptography import x509
-from cryptography.hazmat.primitives import serialization
 
 from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
@@ -87,6 +86,18 @@ _MULTIPART = lazy_regex(
     rb'Content-Type: multipart/signed; protocol="(application/(?:x-)?pkcs7-signature)"; micalg="([a-z0-9,-]+)"; '
     rb'boundary="([0-9A-Za-z_+./:=?-]{8,70})"'
 )
+_HEAD = lazy_regex(
+    rb'MIME-Version: 1\.0\nContent-Type: multipart/signed; protocol="(application/(?:x-)?pkcs7-signature)"; '
+    rb'micalg="(sha-(?:256|384|512))"; boundary="(----[0-9A-F]{32})"\n\nThis is an S/MIME signed message\n\n'
+    rb"--\3\nContent-Type: text/plain\n\n"
+)
+"""What is before the content where Keymint or openssl wrote a boundary, and all lines end with LF."""
+_BEFORE_SIGNATURE = b"""
+Content-Type: %b; name="smime.p7s"
+Content-Transfer-Encoding: base64
+Content-Disposition: attachment; filename="smime.p7s"
+
+"""
 _DIGESTS = {b"sha-256": "sha256", b"sha-384": "sha384", b"sha-512": "sha512"}
 _BEFORE_TEXT = 6
 """Lines of the frame before the text part."""
@@ -198,7 +209,7 @@ def _read(signed: bytes, ca_pem: bytes, at: datetime | None) -> SignedDocument:
     document = unwrap(signed, _NAMELESS)
     signature = _parsed(document, _NAMELESS)
     authority = certificates.load_first(ca_pem, with_lists=True)
-    if signature.certificate != authority.public_bytes(serialization.Encoding.DER):
+    if signature.certificate != cms.identity_of(authority)[0]:
         raise KeymintError(
             "signed by another certificate than the authority's",
             help="'keymint install' signs it again",
@@ -281,6 +292,11 @@ def unwrap(document: bytes, where: Origin | None = None) -> SignedDocument:
         KeymintError: the document does not match the grammar above (code ``smime-form``); with the line and what was
             expected.
     """
+    return _written(document) or _by_lines(document, where)
+
+
+def _by_lines(document: bytes, where: Origin | None) -> SignedDocument:
+    """Return the parts of a document in any form of the grammar; errors as :func:`unwrap`."""
     if document.count(b"\n") > _MOST_LINES:
         refuse(where, _MOST_LINES, f"it has more than {_MOST_LINES:,} lines")
     carriage_returns = b"\r" in document
@@ -326,6 +342,28 @@ def unwrap(document: bytes, where: Origin | None = None) -> SignedDocument:
         refuse(where, base64_start + 1, f"expected the signature in base64, {der.BASE64_LINE} characters in a line")
     content = b"\n".join(texts[_BEFORE_CONTENT:second])
     return SignedDocument(content, signature, _BEFORE_CONTENT, _DIGESTS[digest])
+
+
+def _written(document: bytes) -> SignedDocument | None:
+    """Return the parts of a document in the form that Keymint writes; None for one to be judged line by line."""
+    head = _HEAD.match(document)
+    if head is None or len(document) > _MOST_LINES or b"\r" in document or b"\0" in document:
+        return None
+    protocol, digest, boundary = head.groups()
+    before = _BEFORE_SIGNATURE % protocol
+    # Such a boundary cannot overlap itself, so that these are all that readers could take for separators.
+    parts = document[head.end() :].split(b"--" + boundary)
+    if len(parts) != _SEPARATORS:
+        return None
+    text, encoded, end = parts
+    try:
+        signature = base64.b64decode(encoded[len(before) :])
+    except ValueError:
+        return None
+    is_exact = encoded == b"%b%b\n" % (before, der.base64_lines(signature)) and end.rstrip(b"\n") == b"--"
+    if not (signature and is_exact and text.endswith(b"\n")):
+        return None
+    return SignedDocument(text[:-1], signature, _BEFORE_CONTENT, _DIGESTS[digest])
 
 
 def refuse(where: Origin | None, line: int, problem: str) -> NoReturn:

@@ -3,13 +3,17 @@
 
 from __future__ import annotations
 
+import random
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from comarmor.errors import Origin
 from keymint.errors import KeymintError
-from keymint.pki.smime import UNREAD, canonical_text, refuse, unwrap, wrap
+from keymint.pki import smime
+from keymint.pki.smime import UNREAD, SignedDocument, canonical_text, refuse, unwrap, wrap
+from tests.effort import tries
 
 CONTENTS = st.text(st.characters(exclude_characters="\0\r", exclude_categories=["Cs"]), max_size=200).map(str.encode)
 SIGNATURES = st.binary(min_size=1, max_size=200)
@@ -80,3 +84,56 @@ def test_changed_line_ends_of_the_signature_are_refused(change: bytes) -> None:
     head, blank, encoded = DOCUMENT.partition(b'filename="smime.p7s"\n\n')
     with pytest.raises(KeymintError):
         unwrap(head + blank + encoded.replace(b"\n", change, 1))
+
+
+# -- the form that Keymint writes is read faster, and gives what reading line by line gives ----------------------------
+
+PIECES = (
+    *(DOCUMENT.split(b"\n")[line] for line in FRAME),
+    *(b"\n", b"\n\n", b"\r\n", b"\r", b"\0", b"--", b"-", b"=", b"==", b"A", b" ", b"sha-384", b"x-"),
+    b"--" + DOCUMENT.partition(b'boundary="')[2][:36],
+)
+
+
+def by_lines(document: bytes) -> SignedDocument | None:
+    try:
+        return smime._by_lines(document, None)
+    except KeymintError:
+        return None
+
+
+def agreed(document: bytes) -> bool:
+    """Tell whether both ways of reading give the same, where the faster one gives anything."""
+    found = smime._written(document)
+    return found is None or found == by_lines(document)
+
+
+@given(CONTENTS, SIGNATURES)
+def test_both_ways_of_reading_give_what_was_wrapped(content: bytes, signature: bytes) -> None:
+    document = wrap(content, signature)
+    assert smime._written(document) == by_lines(document) == SignedDocument(content, signature, 8, "sha256")
+
+
+def test_both_ways_of_reading_agree_on_every_changed_byte() -> None:
+    for position in range(len(DOCUMENT)):
+        head, byte, tail = DOCUMENT[:position], DOCUMENT[position : position + 1], DOCUMENT[position + 1 :]
+        assert agreed(head + tail), position
+        for other in (byte + byte, b"\n", b"\r", b"-", b"=", bytes([byte[0] ^ 1]), b"\0", byte + b"\n", b"\n" + byte):
+            assert agreed(head + other + tail), (position, other)
+
+
+def test_both_ways_of_reading_agree_on_damaged_documents() -> None:
+    chosen, taken = random.Random(27), 0
+    for _ in range(tries(3_000, 100_000)):
+        document = wrap(
+            chosen.choice([b"", b"\n", b"<dds>\n--</dds>\n"]), chosen.randbytes(chosen.choice([1, 47, 48, 60]))
+        )
+        for _ in range(chosen.randint(1, 2)):
+            first, last = sorted(chosen.choices(range(len(document) + 1), k=2))
+            last = chosen.choice([first, first + 1, last])
+            piece = chosen.choice([*PIECES, document[first:last], b""])
+            place = chosen.choice([first, len(document), document.rfind(b"--"), document.find(b"\n\n--")])
+            document = document[:place] + piece + document[place + chosen.choice([0, 0, len(piece), last - first]) :]
+        assert agreed(document), document
+        taken += smime._written(document) is not None
+    assert taken > tries(100, 3_000)
