@@ -68,10 +68,10 @@ def modes(inputs: Inputs, path: Path | str, mode: int, subject: str) -> Iterator
     status = inputs.tree.status(path)
     if status is None:
         return
-    shown = inputs.workspace.shown(path)
     if stat.S_ISLNK(status.st_mode):
         yield link(inputs, path, subject)
     elif (existing := stat.S_IMODE(status.st_mode)) != mode:
+        shown = inputs.workspace.shown(path)
         yield Diagnostic(
             "file-mode",
             Severity.ERROR if existing & ~mode & 0o077 else Severity.WARNING,

@@ -67,9 +67,9 @@ class _InstalledEnclave(EnclaveRules):
         if self.governance.sound:
             yield from self._governance()
         if layout.PERMISSIONS_XML in names:
-            signed = None
-            with suppress(KeymintError):
-                signed = smime.signed_content(self._files.get(layout.PERMISSIONS_P7S, b""))
+            signed = self.permissions.signed.content if self.permissions.signed else None
+            with suppress(KeymintError):  # whoever signed it
+                signed = signed or smime.signed_content(self._files.get(layout.PERMISSIONS_P7S, b""))
             yield from self.plain_text(signed)
 
     def _key_uri(self) -> Iterator[Diagnostic]:
