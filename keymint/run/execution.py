@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, cast
 from keymint.authority.authorities import STAGE as AUTHORITIES
 from keymint.errors import KeymintError, process_ended
 from keymint.host.streams_and_signals import held_signals
+from keymint.life.examine import RIGHTS_OUTLIVE
 from keymint.life.revocation_lists_in_force import loaded_lists
 from keymint.output.console import Console
 from keymint.output.report import Report
@@ -342,7 +343,9 @@ def remember(
     workspace = inputs.workspace
     changed = [item for space in (workspace.profile, workspace.public) for item in plan.overlay(f"{space}/")]
     session = replace(inputs, tree=inputs.tree.overlaid(changed), state=plan.state).session()
-    record_answer(call, session, sight, (), Answer(*console.rendered(expected), int(expected.exit_code)), store)
+    settled = not expected.diagnostics and all(step.action is Action.UNCHANGED for step in expected.steps)
+    answer = Answer(*console.rendered(expected), int(expected.exit_code), settled)
+    record_answer(call, session, sight, (), answer, store)
 
 
 def record_answer(
@@ -372,8 +375,8 @@ def record_answer(
 def next_report(plan: Plan, report: Report) -> Report | None:
     """Return what a command reports if it is given again, or None if that is not known.
 
-    What has nothing to do does the same again. After one that did something without any diagnostic, everything is
-    unchanged, and no workspace is new.
+    What has nothing to do does the same again. After one that did something, everything is unchanged, and no workspace
+    is new; only that documents replaced wider rights is known to be told once.
     """
     if not plan.writes():
         return report
@@ -384,4 +387,5 @@ def next_report(plan: Plan, report: Report) -> Report | None:
         if step.package:  # what has none is only reported if it is written
             detail = step.detail if step.stage == AUTHORITIES else ""
             steps.append(Step(step.stage, step.package, Action.UNCHANGED, detail=detail))
-    return None if report.diagnostics else replace(report, steps=steps)
+    told_once = all(each.code == RIGHTS_OUTLIVE for each in report.diagnostics)
+    return replace(report, steps=steps, diagnostics=()) if told_once else None

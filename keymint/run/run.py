@@ -27,7 +27,7 @@ from keymint.run.execution import RECORD, Workers, execute, open_store, record_a
 from keymint.store.changes import File, Plan, Step
 from keymint.store.journal import Journal, intent_of
 from keymint.store.store import LOCK, clock, path_lock
-from keymint.view.recorded_answers import Answer, Call, Sight, is_recordable
+from keymint.view.recorded_answers import Answer, Call, Sight, is_recordable, known_folders
 from keymint.view.stamps import MAX_RECORD, State
 from keymint.view.stamps import load as load_state
 from keymint.view.tree import HeldError, Tree, read_file
@@ -163,10 +163,10 @@ class Run:
         )
         return self.known_workspace
 
-    def inputs(self, workspace: Workspace) -> Inputs:
+    def inputs(self, workspace: Workspace, sight: Sight | None = None) -> Inputs:
         """Return the inputs of a plan for a workspace; its files are read as they are asked for."""
         state = load_state(read_file(workspace.state / RECORD, MAX_RECORD))
-        tree = Tree(linked=workspace.install)
+        tree = Tree(workspace.install, sight)
         return Inputs(workspace, tree, state, self.plugins, self.setting.environment, self.setting.now, self.tokens)
 
     def snapshot(self, workspace: Workspace, *, auditing: bool = False) -> Inputs:
@@ -373,8 +373,10 @@ class Run:
 
     def _planned_again(self, workspace: Workspace, make_plan: Callable[[Inputs], Plan]) -> tuple[Inputs, Plan, Sight]:
         """Plan under the workspace lock; return what the plan was made from, the plan, and the folders as they are."""
-        sight = Sight.of(map(str, workspace.spaces()), clock(workspace.state))
-        inputs = self.inputs(workspace)
+        spaces = [str(space) for space in workspace.spaces()]
+        known = known_folders(self.setting.call, str(workspace.root), spaces)
+        sight = Sight.of(spaces, clock(workspace.state), known)
+        inputs = self.inputs(workspace, sight)
         return inputs, make_plan(inputs), sight
 
     def report(

@@ -7,8 +7,7 @@ It is also asked here where the packages do not follow the policy.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Severity
@@ -26,6 +25,7 @@ from keymint.workspace.policy_loading import (
     load_policy,
     package_of,
     record_policy,
+    recorded_epoch,
     recorded_subjects,
 )
 from keymint.workspace.session import Inputs, Session
@@ -152,11 +152,16 @@ class CreateStage(PackageStage):
         self._force = force
         self.existing = frozenset(session.packages())
         seen = (part for path, value in sorted(policy.seen.items()) for part in (str(path), value))
-        self._inputs = digest(digest(*seen), session.profile_digest)
+        self._epoch = digest(digest(*seen), session.profile_digest)
+        self._is_followed = recorded_epoch(session.state) == self._epoch
         self._package_type = session.package_type
 
-    def subjects(self, names: Sequence[str]) -> tuple[str, ...]:
+    def subjects(self, names: Sequence[str], settled: Collection[str] = ()) -> tuple[str, ...]:
         """Return the names that are packages of subjects, not of infrastructure.
+
+        Args:
+            names: names of packages.
+            settled: those that are known to be packages of subjects.
 
         Raises:
             KeymintError: names collide, are reserved, or the policy names a package of infrastructure.
@@ -172,7 +177,8 @@ class CreateStage(PackageStage):
                 help="rename the subject, or give the package of the transport another name in the profile",
                 code="infrastructure-named",
             )
-        others = {name for name in self.existing.intersection(names) if session.role(name) is not api.Role.SUBJECT}
+        unknown = self.existing.intersection(names).difference(settled)
+        others = {name for name in unknown if session.role(name) is not api.Role.SUBJECT}
         subjects = [name for name in names if name not in infrastructure and name not in others]
         refuse_case_collisions([*self.existing, *subjects, *infrastructure])
         reserved = [each for layout in session.layouts for each in layout.reserved]
@@ -195,8 +201,21 @@ class CreateStage(PackageStage):
         planned = [*planned, *(self._infrastructure(name, build_type) for name, (_, build_type) in needed)]
         steps = steps_of(planned)
         diagnostics = tuple(diagnostic for each in planned for diagnostic in each.diagnostics)
-        recorded = record_policy(session, self._policy.seen, self._policy.subjects())
-        return Plan(steps, state_after(recorded, STAGE, planned), diagnostics)
+        names = {each.name for each in planned}
+        epoch = self._epoch if self._is_followed or names >= self.existing else ""
+        recorded = record_policy(session, self._policy.seen, self._policy.subjects(), epoch)
+        gone = [name for name in recorded.stamps.get(STAGE, ()) if name not in names and name not in self.existing]
+        return Plan(steps, state_after(recorded, STAGE, planned, gone), diagnostics)
+
+    def follows(self, name: str) -> bool:
+        """Tell whether a package was created from the rules that its subject has now, and from the profile."""
+        stamp = self._session.state.stamp(STAGE, name)
+        return stamp is not None and (self._is_followed or stamp.inputs == self._inputs(name))
+
+    def _inputs(self, name: str) -> str:
+        """Return the digest of everything that the sources of a package are made of; of the policy, if it can tell."""
+        rules = self._policy.rules_digest(subject_of(name))
+        return digest(rules, self._session.profile_digest) if rules else self._epoch
 
     def package(self, name: str) -> PackagePlan:
         """Return the plan for a package."""
@@ -206,13 +225,8 @@ class CreateStage(PackageStage):
         digests = session.file_digests(name)
         outputs = _outputs(digests)
         is_kept = stamp is not None and stamp.outputs == outputs and not force and not self._valid_for
-        if stamp and is_kept and stamp.inputs == self._inputs:
+        if is_kept and self.follows(name):  # other subjects may have other rules now
             return PackagePlan(name, Step(STAGE, name, Action.UNCHANGED))
-        known_rules = self._policy.rules_digest(subject_of(name))
-        # The digest of everything that the sources of a subject are made of; empty if it is not known.
-        context = digest(known_rules, session.profile_digest) if known_rules else ""
-        if stamp and is_kept and context and stamp.context == context:  # other subjects have other rules now
-            return PackagePlan(name, Step(STAGE, name, Action.UNCHANGED), replace(stamp, inputs=self._inputs))
         files = session.package_files(name) if digests else {}
         known = name in self.existing
         rules = self._policy.rules(subject_of(name))
@@ -235,7 +249,7 @@ class CreateStage(PackageStage):
         # Documents of former versions that are replaced.
         former = self._package_type.former_rules(rules, files) if changes and files else ()
         found = (*(unnamed if known else ()), *(with_place(each, session.workspace.src) for each in former))
-        return PackagePlan(name, step, Stamp(self._inputs, outputs, context=context), found, errors)
+        return PackagePlan(name, step, Stamp(self._inputs(name), outputs), found, errors)
 
     def _with_validity(self, rules: SubjectRules, files: Mapping[str, bytes]) -> Mapping[str, bytes]:
         """Return the files of a package that change so that it has the requested validity."""
@@ -279,7 +293,7 @@ class CreateStage(PackageStage):
         written = marker_last(self._package_type, new)
         outputs = {**session.file_digests(name), **{file: new.digest for file, new in written.items()}}
         step = Step(STAGE, name, Action.CREATED, folder_changes(session.tree, folder, written))
-        return PackagePlan(name, step, Stamp(self._inputs, _outputs(outputs)))
+        return PackagePlan(name, step, Stamp(self._epoch, _outputs(outputs)))
 
 
 def marker_last(package_type: api.PackageType, new: Mapping[str, bytes]) -> dict[str, File]:

@@ -71,14 +71,18 @@ class InstallStage(PackageStage):
         session: the workspace and its profile, with these authorities.
         authorities: the authorities that issue and sign, by name.
         prune: remove installed enclaves that have no source package.
+        settled: packages that nothing changed for.
     """
 
     NAME = STAGE
 
-    def __init__(self, session: Session, authorities: Authorities, *, prune: bool) -> None:
+    def __init__(
+        self, session: Session, authorities: Authorities, *, prune: bool, settled: frozenset[str] = frozenset()
+    ) -> None:
         self._session = session
         self._authorities = authorities
         self._prune = prune
+        self._settled = settled
         self._keyring = Keyring(session)
 
     def package(self, name: str) -> PackagePlan:
@@ -104,7 +108,7 @@ class InstallStage(PackageStage):
         withdrawn = {each.name: each.withdrawn for each in planned if each.withdrawn}
         changes = installed_enclaves.EnclaveChanges(changed, frozenset((*removed, *withdrawn)))
         scripts, foreign = plan_scripts(session, installed_enclaves.build_types_in_use(session, changes))
-        copies = installed_enclaves.shared_copies(session, changes)
+        copies = [] if self._keeps_copies(changes) else installed_enclaves.shared_copies(session, changes)
         steps = [*steps_of(shared), *installed_enclaves.shared_steps(session, copies), *scripts, *steps_of(planned)]
         diagnostics = [*(diagnostic for each in planned for diagnostic in each.diagnostics), *foreign]
         diagnostics += _outdated(session, [each.name for each in planned if each.outdated])
@@ -120,6 +124,22 @@ class InstallStage(PackageStage):
             state = without_recorded_keys(state, IDENTITY_KEYS, removed)
         steps += installed_enclaves.obsolete_steps(session, copies, steps)
         return Plan(tuple(steps), state, tuple(diagnostics), _register(session, planned))
+
+    def _keeps_copies(self, changes: installed_enclaves.EnclaveChanges) -> bool:
+        """Tell whether the files that all enclaves share are those that were there, and no enclave gets others."""
+        session = self._session
+        shared = f"{session.workspace.install}/", f"{session.enclaves}/"
+        beside = (f"{folder}/" for folder in session.tree.changed or () if f"{folder}/".startswith(shared[0]))
+        return (
+            bool(self._settled)
+            and not changes.removed
+            and all(folder.startswith(shared[1]) and folder != shared[1] for folder in beside)
+            and all(
+                session.tree.digest(f"{session.enclave_folder(name)}/{file}") == digest(artifact.content)
+                for name, (_, artifacts) in changes.changed.items()
+                for file, artifact in artifacts.items()
+            )
+        )
 
 
 def _still_good(session: Session, removed: Sequence[str]) -> Iterator[Diagnostic]:

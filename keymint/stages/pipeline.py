@@ -24,7 +24,7 @@ from keymint.life.package_issuance import plan_revocation
 from keymint.life.register import SUPERSEDED
 from keymint.life.revocation_lists_in_force import enclave_lists, plan_lists, require_nothing_lost
 from keymint.life.workspace_register import complete_register
-from keymint.names import name_of
+from keymint.names import ROOT, name_of
 from keymint.pki import certificates
 from keymint.stages import install
 from keymint.stages.build import BuildStage, options_as_built
@@ -33,11 +33,17 @@ from keymint.stages.documents import affected_packages
 from keymint.stages.install import InstallStage
 from keymint.stages.proof.proof_gate import proof_stage, proven
 from keymint.stages.proof.prove import ProofStage
-from keymint.stages.work import Crew, InstallRequest, Work
+from keymint.stages.work import Crew, InstallRequest, PackagePlan, PackageStage, Work
 from keymint.store.changes import Action, File, FolderChange, Plan, Step
 from keymint.view.stamps import Stamp
 from keymint.workspace.installed_enclaves import INSTALLED, enclave_names, installed_certificate, with_sources
-from keymint.workspace.package_build_types import BUILD, is_build_current, recorded_build_types, revocation_files
+from keymint.workspace.package_build_types import (
+    BUILD,
+    is_build_current,
+    recorded_build_types,
+    revocation_files,
+    shared_type,
+)
 from keymint.workspace.policy_loading import policy_in_force
 from keymint.workspace.session import Session, once
 
@@ -119,30 +125,74 @@ def _conducted(start: Work, request: Request, crew: Crew) -> Work:
         work = _through(work, as_built, concerned, request, crew)
         names = tuple(dict.fromkeys((*names, *concerned)))
     stages = _stages(request, authorities, crew)
-    subjects = stages[CREATE](work.session).subjects(names) if CREATE in stages else names
-    _share(work.session, subjects, stages, request, crew)
+    subjects, settled = names, frozenset[str]()
     if CREATE in stages:
-        work = _through(work, stages[CREATE], subjects, request, crew)
+        create = stages[CREATE](work.session)
+        settled = _settled(work, names, create)
+        subjects = create.subjects(names, settled)
+    _share(work.session, [name for name in subjects if name not in settled], stages, request, crew)
+    if CREATE in stages:
+        work = _through(work, stages[CREATE], subjects, request, crew, settled)
         names = tuple(dict.fromkeys((*names, *work.session.infrastructure())))
     if BUILD in stages:
         asked, names = names, _with_followers(start.session, work, names) if request.follow else names
         build = partial(stages[BUILD], followers=frozenset(names).difference(asked))
-        work = _through(work, build, names, request, crew)
+        work = _through(work, build, names, request, crew, settled)
     unsigned = work.session
     if INSTALL in stages:
-        stage = stages[INSTALL](unsigned)
-        planned = crew.planned(stage, names)
+        stage = stages[INSTALL](unsigned, settled=settled)
+        planned = _planned(stage, names, crew, settled)
         work = _checked(work.then(stage.plan(planned), INSTALL), INSTALL, request)
         if superseding := _superseding(changed.session, work.of(INSTALL), request):
             crew.close()
             return _conducted(start, superseding, crew)
-        issued = [each.name for each in planned if not each.withdrawn]
+        issued = [each.name for each in planned if not each.withdrawn and each.name not in settled]
         if request.follow:
             work = work.then(plan_distribution(start.session, work.session, names), INSTALL)
     work = work.noting(*request.notes(work))
     if not _proves(request) or (request.follow and not issued):  # a revocation does not wait for a proof of others
         return work
-    return _proved(work, unsigned, names, issued, request, crew)
+    return _proved(work, unsigned, [name for name in names if name not in settled], issued, request, crew)
+
+
+def _settled(work: Work, names: Sequence[str], create: CreateStage) -> frozenset[str]:
+    """Return the packages that no stage need look at: they are as the same command left them, and told nothing then.
+
+    Their folders and rules are the same, and so is what all packages share: the profile, the authorities, the register.
+    Packages whose documents depend on others are never among them.
+
+    Args:
+        work: what comes before the stages.
+        names: the packages.
+        create: the stage that creates them.
+    """
+    session, workspace = work.session, work.session.workspace
+    changed, state = session.tree.changed, session.state
+    if changed is None or work.plan.writes() or any(map(shared_type, state.stamps.get(BUILD, ()))):
+        return frozenset()
+    if session.infrastructure():
+        return frozenset()
+    own = (workspace.src, workspace.build, session.enclaves, workspace.identities)
+    touched = {ROOT}
+    for folder in changed:
+        space = next((f"{each}/" for each in own if f"{folder}/".startswith(f"{each}/")), "")
+        if not space and not f"{folder}/".startswith((f"{workspace.profile}/", f"{workspace.install}/")):
+            return frozenset()
+        name = folder.removeprefix(space) if space else ""
+        while name:
+            touched.add(name)
+            name = name.rpartition("/")[0]
+    return frozenset(name for name in names if name not in touched and create.follows(name))
+
+
+def _planned(stage: PackageStage, names: Sequence[str], crew: Crew, settled: frozenset[str]) -> list[PackagePlan]:
+    """Return what a stage plans for each package; nothing changes for those that are settled."""
+    planned = crew.planned(stage, [name for name in names if name not in settled])
+    if not settled:
+        return planned
+    looked = {each.name: each for each in planned}
+    kept = {name: PackagePlan(name, Step(stage.NAME, name, Action.UNCHANGED)) for name in settled.intersection(names)}
+    return [found for name in names if (found := kept.get(name) or looked.get(name))]
 
 
 def _proved(
@@ -218,10 +268,17 @@ def _share(session: Session, names: Sequence[str], stages: _Stages, request: Req
         crew.start(session, names, tuple(stages.values()))
 
 
-def _through(work: Work, make: Callable[[Session], Any], names: Sequence[str], request: Request, crew: Crew) -> Work:
+def _through(
+    work: Work,
+    make: Callable[[Session], Any],
+    names: Sequence[str],
+    request: Request,
+    crew: Crew,
+    settled: frozenset[str] = frozenset(),
+) -> Work:
     """Return the work followed by a stage before the installation."""
     stage = make(work.session)
-    plan = stage.plan(crew.planned(stage, names))
+    plan = stage.plan(_planned(stage, names, crew, settled))
     return _checked(work.then(plan, stage.NAME, before=AUTHORITIES if request.late else ""), stage.NAME, request)
 
 

@@ -3,30 +3,34 @@
 
 A run records what the same command would print next time, and everything that this depends on. The command is then
 answered without reading a document, so neither an XML parser nor cryptography is loaded. Whatever is in doubt is a
-reason to carry the command out.
+reason to carry the command out. If the policy changed, or some folders did, it is carried out, but packages whose
+folders are as they were are not looked at again: see :attr:`Sight.changed`.
 
 The status of the files in a folder tells without reading them whether they are what they were. A file that changes gets
 another change time (ctime), which no program can set. So the same inode, size, mode, owner and times mean the same
 file, unless it changed twice within one tick of the file system's clock. The rule is that of git: a status is trusted
-only if the clock had moved on before it was taken.
+only if the clock had moved on before it was taken. The same holds for a folder and the names in it (POSIX marks its
+times when a name is made or removed), so what is known by name is not listed again.
 """
 
 from __future__ import annotations
 
 import hashlib
+import marshal
 import os
 import stat
 import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
 from itertools import takewhile
-from typing import NamedTuple
+from operator import attrgetter
+from typing import Any, NamedTuple
 
 from comarmor.regex import lazy_regex
 from keymint import __version__
 from keymint.view.stamps import sealed_document, unsealed_document
 
-VERSION = 1
+VERSION = 2
 VERBS = ("create", "build", "install", "provision", "status")
 """The verbs whose answers are recorded."""
 _RECORDS, _RECORD, _MARK = ".keymint", "state.json", "running"
@@ -42,6 +46,9 @@ _ALWAYS = 1e12
 NEVER = 1 << 63
 """In place of a time: the status of this folder is never trusted, e.g. because it contains a link."""
 _SKIPPED = ".git"
+_WHOLE = "provision"
+"""The verb that goes through all stages with all packages."""
+_STATUS = attrgetter("st_mode", "st_uid", "st_gid", "st_size", "st_mtime_ns", "st_ctime_ns", "st_ino", "st_dev")
 
 
 class Call(NamedTuple):
@@ -65,11 +72,19 @@ class Call(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """What a command prints, and its exit code."""
+    """What a command will print if nothing changes.
+
+    Attributes:
+        out: its results.
+        err: its diagnostics.
+        exit_code: its exit code.
+        settled: it will find every package unchanged, and tell nothing about one.
+    """
 
     out: str
     err: str
     exit_code: int
+    settled: bool = False
 
 
 class Consulted(Mapping[str, str]):
@@ -98,24 +113,63 @@ class Consulted(Mapping[str, str]):
 def recall(call: Call) -> Answer | None:
     """Return the answer to a command that was carried out before, or None if it must be carried out."""
     root = _root(call)
-    if root is None:
+    recorded, listing = _recorded(call, root) if root is not None else (None, b"")
+    if (
+        recorded is None
+        or os.path.lexists(f"{root}/{_RECORDS}/{_MARK}")
+        or any(path_status(path)[0] != status for path, status in recorded["status"].items())
+    ):
         return None
+    known = _known(listing)
+    if not known or walk(recorded["spaces"], known) != known:
+        return None
+    return Answer(recorded["out"], recorded["err"], recorded["exit_code"])
+
+
+def known_folders(call: Call, root: str, spaces: Sequence[str]) -> Mapping[str, FolderStatus]:
+    """Return the folders of some spaces as the same command left them when it was carried out before.
+
+    There are none if their packages may differ from what it left for another reason: the record was written since, it
+    told something, or a date has passed that it compared with the clock.
+    """
+    is_whole = call.arguments[:1] == [_WHOLE] and _root(call) == root
+    recorded, listing = _recorded(call, root) if is_whole else (None, b"")
+    state = f"{root}/{_RECORDS}/{_RECORD}"
+    if (
+        recorded is None
+        or not recorded["settled"]
+        or recorded["spaces"] != list(spaces)
+        or recorded["status"].get(state) != path_status(state)[0]
+    ):
+        return {}
+    return _known(listing)
+
+
+def _recorded(call: Call, root: str) -> tuple[Mapping[str, Any] | None, bytes]:
+    """Return the record of a command and that of its folders; None if there is none of this command at this time."""
     try:
         with open(f"{root}/{_RECORDS}/{name_of(call)}", "rb") as opened:  # noqa: PTH123 - the path is a text
-            recorded = unsealed_document(opened.read(), VERSION)
+            own, end, listing = opened.read().partition(b"\n")
     except OSError:
-        return None
+        return None, b""
+    recorded = unsealed_document(own + end, VERSION)
     if (
         recorded is None
         or recorded["call"] != _identity(call, root, recorded["variables"])
         or not recorded["from"] <= call.now < recorded["until"]
-        or os.path.lexists(f"{root}/{_RECORDS}/{_MARK}")
         or any(_real(call, path) != real for path, real in recorded["real"].items())
-        or any(path_status(path)[0] != status for path, status in recorded["status"].items())
-        or recorded["folders"] != _digest(walk(recorded["spaces"]))
     ):
-        return None
-    return Answer(recorded["out"], recorded["err"], recorded["exit_code"])
+        return None, b""
+    return recorded, listing
+
+
+def _known(listing: bytes) -> Mapping[str, FolderStatus]:
+    """Return the folders on record, whose files were older than the clock; none if the record is damaged."""
+    recorded = unsealed_document(listing, VERSION)
+    if recorded is None:
+        return {}
+    shapes = [(tuple(files), tuple(folders)) for files, folders in recorded["shapes"]]
+    return {folder: FolderStatus(digest, 0, *shapes[shape]) for folder, (digest, shape) in recorded["folders"].items()}
 
 
 def is_recordable(call: Call, root: str) -> bool:
@@ -166,7 +220,12 @@ def record(
     with open(state, "rb") as opened:  # noqa: PTH123 - the path is a text
         recorded = (datetime.fromisoformat(b"".join(parts).decode()) for parts in set(_DATE.findall(opened.read())))
         ends = [moment for date in (*dates, *recorded) if (moment := date.timestamp()) >= call.now]
-    return sealed_document(
+    shapes: dict[tuple[tuple[str, ...], ...], int] = {}
+    folders = {
+        folder: (each.digest, shapes.setdefault((each.files, each.folders), len(shapes)))
+        for folder, each in sight.folders.items()
+    }
+    own_record = sealed_document(
         {
             "version": VERSION,
             "call": _identity(call, root, call.environment.names),
@@ -176,10 +235,10 @@ def record(
             "real": {path: _real(call, path) for path in (*operands, *sight.roots)},
             "status": {state: own[0]} | {path: status for path, (status, _) in others.items()},
             "spaces": sight.roots,
-            "folders": _digest(sight.folders),
             **answer._asdict(),
         }
     )
+    return own_record + sealed_document({"version": VERSION, "folders": folders, "shapes": [*shapes]})
 
 
 def name_of(call: Call) -> str:
@@ -235,11 +294,6 @@ def _status(path: str) -> str:
     return f"{of.st_ino} {of.st_size} {of.st_mtime_ns} {of.st_ctime_ns}"
 
 
-def _digest(folders: Mapping[str, FolderStatus]) -> str:
-    text = "\n".join(f"{folder} {status.digest}" for folder, status in sorted(folders.items()))
-    return hashlib.sha256(text.encode(errors="surrogateescape")).hexdigest()
-
-
 def _has_content(path: str, fingerprint: str) -> bool:
     """Tell whether a file still has the content that was read; whether a folder changed is told by its time."""
     try:
@@ -258,14 +312,16 @@ class FolderStatus(NamedTuple):
     """The status of a folder and of the files directly in it.
 
     Attributes:
-        digest: of mode and owner of the folder, and of name, mode, owner, size, times and inode of each file.
-        newest: the latest time of any file, in nanoseconds.
-        files: names of the files.
+        digest: of mode, owner, size, times, inode and device of the folder, and of each file.
+        newest: the latest time of the folder and of any file, in nanoseconds.
+        files: names of the files, sorted.
+        folders: names of the folders, sorted.
     """
 
     digest: str
     newest: int
     files: tuple[str, ...]
+    folders: tuple[str, ...]
 
     def is_trusted(self, clock: int) -> bool:
         """Tell whether the same status means the same files.
@@ -287,56 +343,75 @@ def path_status(path: str) -> tuple[str, int]:
     return status, max(of.st_mtime_ns, of.st_ctime_ns)
 
 
-def walk(folders: Iterable[str]) -> dict[str, FolderStatus]:
-    """Return the status of folders, and of all folders below them except ``.git``; none of those that do not exist."""
+def walk(folders: Iterable[str], known: Mapping[str, FolderStatus] | None = None) -> dict[str, FolderStatus]:
+    """Return the status of folders, and of all folders below them except ``.git``; none of those that do not exist.
+
+    Args:
+        folders: the folders.
+        known: what is known of some: a folder with the same status has the same names, so it is not listed.
+    """
+    known = known or {}
     found: dict[str, FolderStatus] = {}
     waiting = list(folders)
     while waiting:
         folder = waiting.pop()
-        status = folder_status(folder, waiting)
+        before = known.get(folder)
+        status = before if before and _is_same(folder, before) else folder_status(folder)
         if status is not None:
             found[folder] = status
+            waiting += [f"{folder}/{name}" for name in status.folders if name != _SKIPPED]
     return found
 
 
+def _is_same(folder: str, known: FolderStatus) -> bool:
+    """Tell whether a folder and its files have a status that is known."""
+    try:
+        return known.digest == _digest(
+            [_STATUS(os.stat(folder)), *[_STATUS(os.lstat(f"{folder}/{name}")) for name in known.files]]  # noqa: PTH116 - of texts
+        )
+    except OSError:
+        return False
+
+
+def _digest(rows: list[tuple[int, ...]]) -> str:
+    return hashlib.blake2b(marshal.dumps(rows, 2), digest_size=16).hexdigest()  # version 2 has no references
+
+
 def folder_status(
-    folder: str, below: list[str], written: Collection[str] = (), since: int = NEVER, visible: int = NEVER
+    folder: str, written: Collection[str] = (), since: int = NEVER, visible: int = NEVER
 ) -> FolderStatus | None:
     """Return the status of a folder, or None if it does not exist.
 
     Args:
         folder: the folder.
-        below: its subfolders are added to this list.
         written: names of files that this run wrote.
         since: if another file was modified after this time, the status is not trusted.
         visible: the same for the files that this run wrote: the time at which they appeared.
     """
     files: dict[str, tuple[int, ...]] = {}
+    folders: list[str] = []
     owner: tuple[int, ...] = ()
     newest = 0
     try:
         own = os.stat(folder)  # noqa: PTH116 - of texts, because there are many
-        owner = own.st_mode, own.st_uid, own.st_gid, own.st_dev
+        owner, newest = _STATUS(own), max(own.st_mtime_ns, own.st_ctime_ns)
         with os.scandir(folder) as entries:
             for entry in entries:
                 name = entry.name
                 if entry.is_dir(follow_symlinks=False):
-                    if name != _SKIPPED:
-                        below.append(entry.path)
+                    folders.append(name)
                     continue
                 of = entry.stat(follow_symlinks=False)
                 if not stat.S_ISREG(of.st_mode) or of.st_mtime_ns >= (visible if name in written else since):
                     newest = NEVER
                 newest = max(newest, of.st_mtime_ns, of.st_ctime_ns)
-                files[name] = (
-                    of.st_mode, of.st_uid, of.st_gid, of.st_size, of.st_mtime_ns, of.st_ctime_ns, of.st_ino,
-                )  # fmt: skip
+                files[name] = _STATUS(of)
     except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError:
         newest = NEVER
-    rows = repr((owner, sorted(files.items())))
-    return FolderStatus(hashlib.blake2b(rows.encode(), digest_size=16).hexdigest(), newest, tuple(sorted(files)))
+    names = sorted(files)
+    return FolderStatus(_digest([owner, *map(files.__getitem__, names)]), newest, tuple(names), tuple(sorted(folders)))
 
 
 class Sight(NamedTuple):
@@ -346,17 +421,30 @@ class Sight(NamedTuple):
         roots: the folders that were looked at, with all that is below them.
         folders: the status of each folder.
         clock: the clock of the file system before that, in nanoseconds; 0 if it is not known.
+        changed: the folders that are not as the same command left them; None if all may be different.
     """
 
     roots: tuple[str, ...]
     folders: Mapping[str, FolderStatus]
     clock: int
+    changed: Collection[str] | None = None
 
     @classmethod
-    def of(cls, folders: Iterable[str], clock: int = 0) -> Sight:
-        """Look at folders and all that is below them."""
+    def of(cls, folders: Iterable[str], clock: int = 0, known: Mapping[str, FolderStatus] | None = None) -> Sight:
+        """Look at folders and all that is below them; ``known`` is the result of :func:`known_folders`."""
         roots = tuple(folders)
-        return cls(roots, walk(roots), clock)
+        found = walk(roots, known)
+        if not known:
+            return cls(roots, found, clock)
+        new = {folder for folder, status in found.items() if status is not known.get(folder)}
+        return cls(roots, found, clock, new | (known.keys() - found.keys()))
+
+    def names_in(self, folder: str) -> dict[str, bool] | None:
+        """Return the names in a folder, sorted, each with whether it is a folder; None if that is not known."""
+        status = self.folders.get(folder)
+        if status is None or status.newest == NEVER:  # it may have links, or not be readable
+            return None
+        return dict(sorted((*((name, False) for name in status.files), *((name, True) for name in status.folders))))
 
     def after(
         self, changes: Iterable[tuple[str, Iterable[str], Iterable[str]]], visible: int, clock: int
@@ -376,9 +464,9 @@ class Sight(NamedTuple):
             written.setdefault(folder, set()).update(new)
             removed.setdefault(folder, set()).update(gone)
         folders = dict(self.folders)
-        for folder in filter(self._has, {*written, *self._new_above(written)}):
+        for folder in filter(self._has, {*written, *self._above(written)}):
             before, new = self.folders.get(folder), written.get(folder, set())
-            present = folder_status(folder, [], new, self.clock, visible)
+            present = folder_status(folder, new, self.clock, visible)
             if present is None:
                 folders.pop(folder, None)
                 continue
@@ -391,12 +479,12 @@ class Sight(NamedTuple):
     def _has(self, folder: str) -> bool:
         return f"{folder}/".startswith(tuple(f"{root}/" for root in self.roots))
 
-    def _new_above(self, folders: Iterable[str]) -> set[str]:
-        """Return the folders above new ones that are new as well."""
-        new: set[str] = set()
-        for folder in folders:
-            above = folder if folder in self.roots else folder.rpartition("/")[0]
-            while above not in self.folders and above not in new and self._has(above):
-                new.add(above)
-                above = above.rpartition("/")[0]
-        return new
+    def _above(self, folders: Iterable[str]) -> set[str]:
+        """Return the folders above some: their times change as names in them do."""
+        above: set[str] = set()
+        for each in folders:
+            folder = each.rpartition("/")[0]
+            while self._has(folder) and folder not in above:
+                above.add(folder)
+                folder = folder.rpartition("/")[0]
+        return above

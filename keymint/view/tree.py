@@ -12,12 +12,15 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import field
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from comarmor.values import dataclass
 from keymint.errors import KeymintError
 from keymint.view.file_reading import MAX_FILE, REGISTER, FileStatus, linked_file, lstat, read_error, read_file
 from keymint.view.stamps import digest
+
+if TYPE_CHECKING:
+    from keymint.view.recorded_answers import Sight
 
 __all__ = ["MAX_FILE", "REGISTER", "Content", "File", "HeldError", "HeldFile", "Tree", "read_error", "read_file"]
 
@@ -73,10 +76,14 @@ class Tree:
 
     Args:
         linked: a folder in which symbolic links are followed that stay in it, as ROS 2 does in a keystore.
+        sight: folders that were just looked at.
     """
 
-    def __init__(self, linked: Path | None = None) -> None:
+    def __init__(self, linked: Path | None = None, sight: Sight | None = None) -> None:
         self._linked = str(linked or "")
+        self._sight = sight
+        self.changed = sight.changed if sight else None
+        """The folders that are not as the same command left them before; see :attr:`Sight.changed`."""
         self._digests: dict[str, str | None] = {}
         self._contents: dict[str, bytes | KeymintError | None] = {}
         self._equal: dict[bytes | None, bytes | None] = {}
@@ -325,8 +332,9 @@ class Tree:
             return ".git" not in path.split("/")
         return not isinstance(around, KeymintError) and name not in around
 
-    @staticmethod
-    def _scan(folder: str) -> dict[str, bool]:
+    def _scan(self, folder: str) -> dict[str, bool]:
+        if self._sight is not None and (known := self._sight.names_in(folder)) is not None:
+            return known
         try:
             with os.scandir(folder) as entries:
                 return dict(sorted((entry.name, entry.is_dir(follow_symlinks=False)) for entry in entries))

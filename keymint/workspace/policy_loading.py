@@ -146,16 +146,26 @@ def recorded_subjects(session: Session) -> frozenset[str]:
     return frozenset(recorded.outputs if recorded is not None else ())
 
 
-def record_policy(session: Session, seen: Mapping[Path, bytes], subjects: Iterable[str]) -> State:
+def recorded_epoch(state: State) -> str:
+    """Return the digest of the policy and the profile that all packages on record follow; empty if it is not known."""
+    recorded = state.stamp(_STAGE, _FILES)
+    return recorded.context if recorded is not None else ""
+
+
+def record_policy(session: Session, seen: Mapping[Path, bytes], subjects: Iterable[str], epoch: str = "") -> State:
     """Return the state with a policy on record.
 
     Args:
         session: the workspace and its profile.
         seen: the paths that the policy was read from, each with its fingerprint; see :attr:`LoadedPolicy.seen`.
         subjects: the subjects that it names.
+        epoch: see :func:`recorded_epoch`.
     """
     locations, outputs = locations_digest(session), {str(path): value.hex() for path, value in seen.items()}
-    stamps = {_FILES: Stamp(locations, outputs), _SUBJECTS: Stamp(locations, dict.fromkeys(subjects, ""))}
+    stamps = {
+        _FILES: Stamp(locations, outputs, context=epoch),
+        _SUBJECTS: Stamp(locations, dict.fromkeys(subjects, "")),
+    }
     return session.state.updated(_STAGE, stamps)
 
 

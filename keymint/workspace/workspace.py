@@ -122,9 +122,14 @@ class Workspace:
         """The register of issued certificates."""
         return self.private / REGISTER
 
+    @property
+    def identities(self) -> str:
+        """The folder of the private keys of subjects."""
+        return f"{self.private}/identities"
+
     def identity_key(self, package: str) -> str:
         """Return the path of the private key of a package's subject."""
-        return f"{self.private}/identities/{package}/key.pem"
+        return f"{self.identities}/{package}/key.pem"
 
 
 def shown_path(path: Path | str, start: Path) -> str:

@@ -231,10 +231,10 @@ class ProofStage(PackageStage):
         return "" if None in digests else digest(*map(str, digests))
 
     def _of_policy(self, stamp: Stamp, subjects: Iterable[str]) -> Stamp | None:
-        """Return a stamp as the present policy has it, or None if it is that already."""
-        if stamp.context == self._policy_digest:
+        """Return a stamp as the present policy has it, or None if it tells that already."""
+        written = "" if stamp.context == self._policy_digest else self._written(subjects)
+        if stamp.context == self._policy_digest or (written and stamp.outputs.get(proof_results.WRITTEN) == written):
             return None
-        written = self._written(subjects)
         outputs = {**stamp.outputs, proof_results.WRITTEN: written} if written else stamp.outputs
         return replace(stamp, context=self._policy_digest, outputs=outputs)
 

@@ -119,7 +119,7 @@ def test_a_status_is_told_again_until_a_day_less_is_left(
     keymint("provision", policy, "-w", "ws")
     settle()
     first = keymint(*command, env=at(NOW + 100))
-    until = int(json.loads((tmp_path / "ws/.keymint/last-status.json").read_bytes())["until"])
+    until = int(json.loads((tmp_path / "ws/.keymint/last-status.json").read_bytes().splitlines()[0])["until"])
     assert NOW + 100 < until < NOW + 86_500
     for moment in (NOW + 100, until - 1):
         told = keymint(*command, env=at(moment))

@@ -63,11 +63,11 @@ def test_whatever_becomes_of_a_file_changes_the_status_of_its_folder(
     folder.mkdir(mode=0o755)
     (folder / "file").write_bytes(b"content")
     (folder / "same").write_bytes(b"content")
-    before = folder_status(str(folder), [])
+    before = folder_status(str(folder))
     assert before is not None
-    assert before == folder_status(str(folder), [])
+    assert before == folder_status(str(folder))
     touch(folder / "file")
-    after = folder_status(str(folder), [])
+    after = folder_status(str(folder))
     assert after is not None
     assert after.digest != before.digest
 
@@ -75,7 +75,7 @@ def test_whatever_becomes_of_a_file_changes_the_status_of_its_folder(
 def test_a_status_is_trusted_if_the_clock_moved_on_since_the_last_change(tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(b"content")
     os.utime(tmp_path / "file", ns=(1, 1))
-    status = folder_status(str(tmp_path), [])
+    status = folder_status(str(tmp_path))
     assert status is not None
     assert status.newest == (tmp_path / "file").stat().st_ctime_ns
     assert not status.is_trusted(status.newest)
@@ -84,7 +84,7 @@ def test_a_status_is_trusted_if_the_clock_moved_on_since_the_last_change(tmp_pat
 
 def test_a_folder_with_a_link_is_never_trusted(tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to("nowhere")
-    status = folder_status(str(tmp_path), [])
+    status = folder_status(str(tmp_path))
     assert status is not None
     assert not status.is_trusted(NEVER)
 
@@ -93,7 +93,7 @@ def test_a_file_that_another_program_modified_meanwhile_is_not_trusted(tmp_path:
     (tmp_path / "file").write_bytes(b"content")
     modified = (tmp_path / "file").stat().st_mtime_ns
     for written, since, trusted in (((), modified, False), ((), modified + 1, True), (("file",), modified, True)):
-        status = folder_status(str(tmp_path), [], written, since)
+        status = folder_status(str(tmp_path), written, since)
         assert status is not None
         assert status.is_trusted(NEVER) == trusted
 
