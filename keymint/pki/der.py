@@ -42,7 +42,7 @@ def tlv(tag: int, *parts: bytes) -> bytes:
 def base64_lines(content: bytes) -> bytes:
     """Return the base64 of a content in lines of :data:`BASE64_LINE` characters, each with a line feed."""
     text = base64.b64encode(content)
-    return b"".join(text[start : start + BASE64_LINE] + b"\n" for start in range(0, len(text), BASE64_LINE))
+    return b"".join([text[start : start + BASE64_LINE] + b"\n" for start in range(0, len(text), BASE64_LINE)])
 
 
 def oid(dotted: str) -> bytes:

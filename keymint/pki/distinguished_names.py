@@ -76,6 +76,10 @@ _HEX_PAIR = 3
 """Characters of an escaped byte."""
 _ESCAPABLE = frozenset(',+"\\<>;=/# ')
 _ESCAPED_IN_TEXT = frozenset(',+"\\<>;')
+_PLAIN = lazy_regex(r"[A-Za-z0-9/_.-]+")
+"""Values in which nothing is escaped: without ``=``, no ``/`` begins an attribute."""
+_SIMPLE = lazy_regex(r"[A-Za-z]+=[A-Za-z0-9/_.-]+(?:,[A-Za-z]+=[A-Za-z0-9/_.-]+)*")
+"""Names of such values only."""
 _EXAMPLE = "write e.g. CN=/robot/camera,OU=x1 or /C=US/O=Acme/CN=ca"
 
 
@@ -173,6 +177,11 @@ def _invalid(text: str, problem: str, help_: str = "") -> KeymintError:
 
 def _pairs(text: str) -> Iterator[tuple[str, str]]:
     """Yield attribute types, as written, and values, unescaped."""
+    if _SIMPLE.fullmatch(text):
+        for part in text.split(","):
+            kind, _, value = part.partition("=")
+            yield kind, value
+        return
     position = 1 if text.startswith("/") and _TYPE_THEN_EQUALS.match(text, 1) else 0
     while True:
         match = _TYPE_THEN_EQUALS.match(text, position)
@@ -260,6 +269,8 @@ def _string(part: x509.NameAttribute[str | bytes]) -> str:
 
 def _escape(value: str) -> str:
     """Return a value as :func:`parse` reads it: escaped by RFC 4514, 2.4, and a ``/`` that would separate."""
+    if _PLAIN.fullmatch(value):
+        return value
     escaped = [
         f"\\{character}"
         if character in _ESCAPED_IN_TEXT or (character == "/" and _begins_attribute(value, position + 1))

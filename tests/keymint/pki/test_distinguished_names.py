@@ -1,8 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
+from contextlib import suppress
+
 import pytest
-from hypothesis import given
+from cryptography import x509
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from comarmor.errors import Origin
@@ -125,3 +130,40 @@ def test_unique_suffixes_are_deterministic_and_differ() -> None:
 )
 def test_the_common_name_first(name: str, expected: str) -> None:
     assert distinguished_names.common_name_first(name) == expected
+
+
+def general(function: Callable[[], object]) -> object:
+    """Return what a function returns without the short ways for simple names, or the text of its error."""
+    with pytest.MonkeyPatch.context() as patch:
+        for short_way in ("_SIMPLE", "_PLAIN"):
+            patch.setattr(distinguished_names, short_way, re.compile("(?!)"))
+        return outcome(function)
+
+
+def outcome(function: Callable[[], object]) -> object:
+    distinguished_names._parsed.cache_clear()
+    try:
+        return function()
+    except KeymintError as error:
+        return str(error)
+
+
+TEXTS = st.lists(
+    st.sampled_from(["CN", "OU=", "=", "/", ",", "a", "-", ".", "_", "7", " ", "\\", "+", "\n", "é", "CN=/a", ",OU=b"])
+).map("".join)
+
+
+@given(TEXTS)
+@example("CN=/robot/arm,OU=x1")
+@example("/CN=a,OU=b")
+@example("CN=a\n")
+def test_simple_names_are_read_as_all_are(text: str) -> None:
+    assert outcome(lambda: distinguished_names.parse(text)) == general(lambda: distinguished_names.parse(text))
+
+
+@given(st.lists(st.tuples(st.sampled_from(["CN", "OU", "1.2.3.4"]), TEXTS), min_size=1))
+def test_simple_names_are_shown_as_all_are(pairs: list[tuple[str, str]]) -> None:
+    with suppress(KeymintError):
+        attributes = [distinguished_names._attribute(kind, value, "") for kind, value in pairs]
+        name = x509.Name(attributes)
+        assert distinguished_names.to_text(name) == general(lambda: distinguished_names.to_text(name))
