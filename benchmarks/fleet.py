@@ -76,7 +76,7 @@ def policy(size: int, *, own: bool = False, extra: str = "") -> str:
 
     Args:
         size: number of subjects.
-        own: each subject has a wildcard of its own, so that no two are alike.
+        own: each subject has a wildcard and a denial of its own.
         extra: a rule for the first subject only.
     """
     return _document(
@@ -191,8 +191,8 @@ class Benchmark:
         self._cold("1,000 alike, cold", "1.0 wall, 1.5 CPU", policy(FLEET))
 
     def own(self) -> None:
-        """1,000 subjects, each a kind of its own."""
-        self._cold("1,000 kinds, cold", "2.2 CPU", policy(FLEET, own=True))
+        """1,000 subjects, each with a wildcard and a denial of its own."""
+        self._cold("1,000 with a wildcard of their own, cold", "2.2 CPU", policy(FLEET, own=True))
 
     def small(self) -> None:
         """Two enclaves against the imports that they need."""
@@ -245,13 +245,13 @@ class Benchmark:
             self._against_floor(f"{verb}, 1,000", must, measure)
 
     def growth(self) -> None:
-        """Processor time of an enclave by the number of enclaves, each a kind of its own; the cost is linear in N."""
+        """Processor time of an enclave by the number of enclaves, with wildcards of their own; it is linear."""
         for size in (10, 100, FLEET):
             text, folder = policy(size, own=True), self._new(self._scratch)
             bottom, first, again = self.floor(size), self._provision(folder, text), self._provision(folder)
             bare = self._provision(self._new(self._scratch), text, "--no-prove")
             print(
-                f"{f'{size:,} kinds, each':42} {first.cpu / size * 1e3:8.2f} ms {first.cpu / bottom.cpu:6.2f} x floor, "
+                f"{f'{size:,} wild, each':42} {first.cpu / size * 1e3:8.2f} ms {first.cpu / bottom.cpu:6.2f} x floor, "
                 f"{bare.cpu / bottom.cpu:.2f} x unproven; again {again.cpu / first.cpu:.2f}",
                 flush=True,
             )

@@ -5,8 +5,9 @@ A policy plugin turns its format into these types, and a build plugin turns them
 The rules are mandatory access control in which DENY overrides ALLOW: a request (kind, permission, object) is denied if
 any DENY rule matches it, else allowed if any ALLOW rule does, else denied. The order of rules has no meaning.
 
-Subjects of a kind (:func:`kind_of`) have the same rules but for the literal names in these. A compiler does its work
-once for a kind, and puts the names of each member into the result (docs/adr/0026-kinds.md).
+Subjects of a kind (:func:`kind_of`) have the same rules but for the literal names in these, and for expressions with a
+``*`` as their only wildcard. A compiler does its work once for a kind, and puts the texts of each member into the
+result (docs/adr/0026-kinds.md).
 """
 
 from __future__ import annotations
@@ -62,15 +63,21 @@ class DeferredRules(SubjectRules):
 
 
 KindRule = tuple[Effect, str, tuple[str, ...], tuple[str | int, ...], tuple[str, ...], bool]
-"""Effect, kind, permissions, expressions, partitions and audit of a rule; a number is that of an argument."""
+"""Effect, kind, permissions, expressions, partitions and audit of a rule.
+
+A number in place of an expression is that of an argument: as it is of a name, inverted (``~``) of one with a ``*``.
+"""
 Kind = tuple[KindRule, ...]
-"""The rules of a subject with numbers in place of literal names."""
+"""The rules of a subject with numbers in place of arguments."""
 Arguments = tuple[str, ...]
-"""The literal names of a subject's rules, without duplicates, in the order of their first mention."""
+"""The literal names of a subject's rules and the expressions with a ``*`` as their only wildcard.
+
+Without duplicates, in the order of their first mention.
+"""
 
 
 def kind_of(rules: Iterable[Rule]) -> tuple[Kind, Arguments]:
-    """Return the kind of a subject's rules, and the names that the subject puts into it.
+    """Return the kind of a subject's rules, and the texts that the subject puts into it.
 
     Two subjects have the same rules exactly if kind and arguments are the same; where a rule is written does not count.
 
@@ -81,10 +88,17 @@ def kind_of(rules: Iterable[Rule]) -> tuple[Kind, Arguments]:
     kind = []
     for rule in rules:
         expressions = tuple(
-            text if SPECIAL.search(text) else numbers.setdefault(text, len(numbers)) for text in rule.expressions
+            _numbered(text, numbers) if SPECIAL.search(text) else numbers.setdefault(text, len(numbers))
+            for text in rule.expressions
         )
         kind.append((rule.effect, rule.kind, rule.permissions, expressions, rule.partitions, rule.audit))
     return _shared(tuple(kind)), tuple(numbers)
+
+
+def _numbered(text: str, numbers: dict[str, int]) -> str | int:
+    """Return what stands for an expression with wildcards in a kind."""
+    is_argument = text.count("*") == 1 and not SPECIAL.search(text.replace("*", ""))
+    return ~numbers.setdefault(text, len(numbers)) if is_argument else text
 
 
 @lru_cache(maxsize=1 << 12)

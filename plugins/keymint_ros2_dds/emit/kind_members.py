@@ -8,7 +8,8 @@ a kind says which DDS names a subject puts into it, and what must be alike for t
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import field
 from functools import lru_cache
 from itertools import combinations, product
@@ -45,10 +46,15 @@ STEPS = 20_000
 PLAIN_TEXT = lazy_regex(r"[!#-%'-);=@-Z^-~,-:+]+")
 """Text that every parser and model reads as itself: printable ASCII, without blanks, wildcards, brackets and markup."""
 
+MOST_LETTERS = 100
+"""Length of an expression that is renamed, so that the engine takes few steps to compare two."""
+
 Slot = tuple[str, int, str]
-"""A DDS name of a kind: a text, the number of an argument, and a text."""
-Signature = tuple[tuple[int, ...], tuple[int, ...]]
-"""Which names are equal, and for each name which wildcards match it, as bits."""
+"""A DDS name or expression of a kind: a text, the number of an argument, and a text."""
+Signature = tuple[tuple[int, ...], tuple[int, ...], bytes]
+"""Which names are equal; for each name which wildcards match it, as bits; how wildcards that differ are related."""
+Ends = tuple[tuple[str, str], ...]
+"""The texts before and after the ``*`` of DDS expressions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,53 +64,117 @@ class Structure:
     Attributes:
         slots: the names.
         ros: numbers of the arguments that must be ROS names.
-        wildcards: the patterns of the policy, and the intersections of any two.
+        own: the expressions with a ``*``, if each member has others.
+        wildcards: else the patterns of the policy, and the intersections of any two.
     """
 
     slots: tuple[Slot, ...]
     ros: frozenset[int]
+    own: tuple[Slot, ...]
     wildcards: tuple[Glob, ...]
     _any: re.Pattern[str]
 
     @classmethod
-    def of(cls, kind: Kind, distro: str) -> Structure | None:
-        """Return the structure of a kind; None if its documents depend on more than :meth:`fit` tells."""
+    def of(cls, kind: Kind, arguments: Arguments, distro: str) -> Structure | None:
+        """Return the structure of a kind; None if its documents depend on more than :meth:`fit` tells.
+
+        Args:
+            kind: the kind.
+            arguments: of a member. All have the same wildcards, or all may have others: :func:`may_differ`.
+            distro: ROS 2 distribution whose name mapping applies.
+        """
         slots: dict[Slot, None] = {}
         ros: set[int] = set()
-        own: dict[Glob, None] = {}
-        for effect, rule_kind, permissions, expressions, partitions, _ in kind:
+        patterns: dict[Glob, None] = {}
+        own = may_differ(kind, arguments)
+        for _, rule_kind, permissions, expressions, partitions, _ in kind:
             if partitions or distro == ARDENT:
                 return None
             for (topic, tail), each in product(needed_topics(rule_kind, permissions), expressions):
-                if isinstance(each, int):
+                if isinstance(each, int) and each >= 0:
                     slots[topic.prefix, each, tail + topic.suffix] = None
                     if topic.prefix:
                         ros.add(each)
-                else:
-                    patterns = dds_patterns(distro, parse(each), topic, tail, effect)
-                    own.update((pattern, None) for pattern, _ in patterns)
-        wildcards = _with_intersections([*own])
+                elif not own:
+                    text = each if isinstance(each, str) else arguments[~each]
+                    patterns.update((pattern, None) for pattern, _ in dds_patterns(distro, parse(text), topic, tail))
+        wildcards = _with_intersections([*patterns])
         if wildcards is None:
             return None
         match = re.compile("|".join(f"(?:{regex(each)})" for each in wildcards) or "(?!)", re.DOTALL)
-        return cls(tuple(slots), frozenset(ros), wildcards, match)
+        return cls(tuple(slots), frozenset(ros), _own_slots(kind) if own else (), wildcards, match)
 
     def fit(self, arguments: Arguments) -> tuple[list[str], Signature] | None:
         """Return the DDS names of a subject, and what subjects with alike documents have in common.
 
-        None if a name may be read in several ways, or is no ROS name.
+        None if a name may be read in several ways, or is no ROS name. Expressions that may differ follow the names.
         """
         for number, argument in enumerate(arguments):
-            if not (is_fully_qualified(argument) if number in self.ros else PLAIN_TEXT.fullmatch(argument)):
+            is_read = is_fully_qualified(argument) if number in self.ros else PLAIN_TEXT.fullmatch(argument)
+            if not is_read and "*" not in argument:
                 return None
         names = [head + arguments[number] + tail for head, number, tail in self.slots]
         first: dict[str, int] = {}
         equal = tuple(first.setdefault(name, index) for index, name in enumerate(names))
-        match = self._any.fullmatch
-        return names, (equal, tuple(self._matches(name) if match(name) else 0 for name in names))
+        if not self.own:
+            match = self._any.fullmatch
+            return names, (equal, tuple(self._matches(name) if match(name) else 0 for name in names), b"")
+        ends = _ends(self.own, arguments)
+        matches = (
+            sum(1 << bit for bit, (head, tail) in enumerate(ends) if name.startswith(head) and name.endswith(tail))
+            for name in names
+        )
+        related, expressions = _relations(ends)
+        return [*names, *expressions], (equal, tuple(matches), related)
 
     def _matches(self, name: str) -> int:
         return sum(1 << bit for bit, pattern in enumerate(self.wildcards) if matcher(pattern)(name))
+
+
+def may_differ(kind: Kind, arguments: Arguments) -> bool:
+    """Tell whether a subject with other wildcards may have a document alike: each is a single ``*`` in plain text.
+
+    No text before a ``*`` ends as one after a ``*`` begins: a name matches if it begins and ends in the right way.
+    """
+    slots = _own_slots(kind) if any("*" in text for text in arguments) else ()
+    for prefix, number, _ in slots:
+        text = arguments[number].replace("*", "x")
+        if len(text) > MOST_LETTERS or not (is_fully_qualified(text) if prefix else PLAIN_TEXT.fullmatch(text)):
+            return False
+    ends = _ends(slots, arguments)
+    begins = tuple({tail[: end + 1] for _, tail in ends for end in range(len(tail))})
+    return 0 < len(ends) <= MOST_WILDCARDS and not any(head.endswith(begins) for head, _ in ends)
+
+
+@lru_cache(maxsize=1 << 10)
+def _own_slots(kind: Kind) -> tuple[Slot, ...]:
+    """Return the expressions with a ``*`` of a kind; none if it has other wildcards, too."""
+    slots: dict[Slot, None] = {}
+    for _, rule_kind, permissions, expressions, _, _ in kind:
+        for each in expressions:
+            if isinstance(each, str):
+                return ()
+            with suppress(KeyError):  # the engine reports an unknown permission
+                for topic, tail in needed_topics(rule_kind, permissions) if each < 0 else ():
+                    slots[topic.prefix, ~each, tail + topic.suffix] = None
+    return tuple(slots)
+
+
+def _ends(slots: Iterable[Slot], arguments: Arguments) -> Ends:
+    texts = ((prefix, arguments[number].partition("*"), suffix) for prefix, number, suffix in slots)
+    return tuple((prefix + head, tail + suffix) for prefix, (head, _, tail), suffix in texts)
+
+
+@lru_cache(maxsize=1 << 8)
+def _relations(ends: Ends) -> tuple[bytes, list[str]]:
+    """Return which texts before a ``*`` begin with which, and after it end with which; expressions, intersections."""
+    related = bytes(head.startswith(begin) + 2 * tail.endswith(end) for head, tail in ends for begin, end in ends)
+    expressions = [f"{head}*{tail}" for head, tail in ends]
+    for pair in combinations(ends, 2):
+        (begin, head), (end, tail) = (sorted(texts, key=len) for texts in zip(*pair, strict=True))
+        if head.startswith(begin) and tail.endswith(end):
+            expressions.append(f"{head}*{tail}")
+    return related, expressions
 
 
 def _with_intersections(patterns: Sequence[Glob]) -> tuple[Glob, ...] | None:
@@ -163,7 +233,7 @@ class _Members:
     Attributes:
         first: the first member; None once it is among the exemplars.
         structure: None if no member can be renamed.
-        exemplars: a member for each signature, with its DDS names.
+        exemplars: a member for each signature, with its DDS names and expressions.
     """
 
     first: _Made | None
@@ -173,19 +243,21 @@ class _Members:
     def keep(self, made: _Made) -> None:
         """Keep a member that the engine did as an exemplar, unless its document cannot be a template.
 
-        Its topics must be sorted, as they are again for every other member, and those that are the same for all members
-        have wildcards.
+        Its topics must be sorted, as they are again for every other member. Those that are the same for all members
+        must have wildcards; there are none if wildcards may differ.
         """
         fit = None if self.structure is None else self.structure.fit(made.arguments)
         if fit is None or len(self.exemplars) >= MOST_EXEMPLARS:
             return
-        names, signature = fit
-        shared = {text for rule in made.rules for text in rule.every_topic()} - set(names)
-        if with_renamed_topics(made.rules, {}) == made.rules and not any(map(is_name, shared)):
-            self.exemplars[signature] = made, names
+        texts, signature = fit
+        shared = {text for rule in (*made.rules, *made.plain) for text in rule.every_topic()}.difference(texts)
+        odd = shared if signature[2] else [*filter(is_name, shared)]
+        if with_renamed_topics(made.rules, {}) == made.rules and not odd:
+            self.exemplars[signature] = made, texts
 
 
-_known: dict[tuple[Kind, str, Domains], _Members] = {}
+_known: dict[tuple[Kind, str, Domains, tuple[str, ...]], _Members] = {}
+"""Members by kind, distribution, domains, and the expressions with a ``*`` that all must have."""
 
 
 def emit_by_kind(package: Package, options: BuildOptions) -> Emitted:
@@ -200,11 +272,13 @@ def emit_by_kind(package: Package, options: BuildOptions) -> Emitted:
         return emit(package, options)
     kind, arguments = kind_of(package.grant.rules.rules)
     domains = package.grant.domains
-    key = kind, package.distro, domains
+    same = () if may_differ(kind, arguments) else tuple(text for text in arguments if "*" in text)
+    key = kind, package.distro, domains, same
     members = _known.get(key)
     if members is not None:
         if members.first is not None:  # its structure is made for the second member, since many kinds have one only
-            first, members.first, members.structure = members.first, None, Structure.of(kind, package.distro)
+            first, members.first = members.first, None
+            members.structure = Structure.of(kind, arguments, package.distro)
             members.keep(first)
         emitted = _by_renaming(package, kind, arguments, members)
         if emitted is not None:
@@ -251,7 +325,7 @@ def _by_renaming(package: Package, kind: Kind, arguments: Arguments, members: _M
         return None
     dds_xml.know_valid(document, PERMISSIONS)
     claims.remember(comparison(package, document), made.claims, (kind, arguments))
-    notes = tuple(vendor_notes(rules, grant)) if made.notes else ()
+    notes = tuple(vendor_notes(rules, grant)) if made.notes or signature[2] else ()
     plain_size = len(document if plain == rules else permissions_document.render(grant, plain))
     return Emitted(document, rules, plain_size, None, made.claims, notes)
 

@@ -54,7 +54,7 @@ def next_second(moment: datetime) -> datetime:
 
 Period = tuple[datetime, datetime]
 _GRANT = lazy_regex(rb'(<grant name=")[A-Za-z0-9_/]+(">\s*<subject_name>)([A-Za-z0-9_/=,]+)<')
-_TOPIC = lazy_regex(rb"<topic>[A-Za-z0-9_/]+</topic>")
+_TOPIC = lazy_regex(rb"<topic>[A-Za-z0-9_/*]+</topic>")
 _ANYONE = "CN=/n"
 
 
