@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterable
+from dataclasses import field
 from functools import lru_cache
 from typing import Any
 
@@ -35,6 +36,30 @@ class SubjectRules:
 
     subject: str
     rules: tuple[Rule, ...]
+    _kind: tuple[Kind, Arguments] | None = field(default=None, init=False, repr=False, compare=False)
+
+    @property
+    def kind(self) -> tuple[Kind, Arguments]:
+        """What :func:`kind_of` returns for the rules, computed once."""
+        kind = self._kind
+        if kind is None:
+            kind = kind_of(self.rules)
+            object.__setattr__(self, "_kind", kind)
+        return kind
+
+    def __eq__(self, other: object) -> bool:
+        """Compare subjects and rules, whether these were read at once or are read now."""
+        if not isinstance(other, SubjectRules):
+            return NotImplemented
+        return (self.subject, self.rules) == (other.subject, other.rules)
+
+    def __hash__(self) -> int:
+        """Return the hash of both."""
+        return hash((self.subject, self.rules))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return what another process makes of them: rules that were read."""
+        return SubjectRules, (self.subject, self.rules)
 
 
 class DeferredRules(SubjectRules):
@@ -43,23 +68,23 @@ class DeferredRules(SubjectRules):
     Args:
         subject: the subject's name.
         read: returns the rules; its errors are raised by :attr:`rules`.
+        kind: what :func:`kind_of` will return for them, if that is known.
     """
 
     __slots__ = ("_read",)
     _read: Callable[[], tuple[Rule, ...]]
 
-    def __init__(self, subject: str, read: Callable[[], tuple[Rule, ...]]) -> None:
+    def __init__(
+        self, subject: str, read: Callable[[], tuple[Rule, ...]], kind: tuple[Kind, Arguments] | None = None
+    ) -> None:
         object.__setattr__(self, "subject", subject)
+        object.__setattr__(self, "_kind", kind)
         object.__setattr__(self, "_read", functools.cache(read))
 
     @property
     def rules(self) -> tuple[Rule, ...]:
         """The rules, in the order of the policy."""
         return self._read()
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Return what another process makes of them: rules that were read."""
-        return SubjectRules, (self.subject, self.rules)
 
 
 KindRule = tuple[Effect, str, tuple[str, ...], tuple[str | int, ...], tuple[str, ...], bool]

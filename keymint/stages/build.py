@@ -13,7 +13,6 @@ from comarmor.errors import Defects, Diagnostic, Origin
 from keymint.api import BuildOptions, BuildResult, LoadedPolicy, Package
 from keymint.errors import KeymintError
 from keymint.executors import Pool
-from keymint.ir import kind_of
 from keymint.life import terms
 from keymint.life.package_issuance import place_of
 from keymint.names import name_of, subject_of
@@ -274,7 +273,7 @@ def compile_elsewhere(pool: Pool, session: Session, names: Sequence[str], option
         if not package_build_types.is_build_current(session, name):
             with contextlib.suppress(KeymintError):  # the build reports it
                 candidates.append(session.package(name))
-    kinds = [(kind_of(each.grant.rules.rules)[0], each.distro, each.grant.domains) for each in candidates]
+    kinds = [(each.grant.rules.kind[0], each.distro, each.grant.domains) for each in candidates]
     members = Counter(kinds)
     packages = [package for package, kind in zip(candidates, kinds, strict=True) if members[kind] == 1]
     for name in dict.fromkeys(name for package in packages for name in package.build_types):

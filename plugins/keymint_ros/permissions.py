@@ -13,7 +13,7 @@ import os.path
 import posixpath
 from collections.abc import Iterable
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from urllib.parse import quote, unquote
 
 from lxml import etree
@@ -29,7 +29,7 @@ from comarmor.xml.reader import line
 from comarmor.xml.sandboxed_paths import PACKAGE
 from keymint.api.source_documents import Reader, place
 from keymint.errors import KeymintError
-from keymint.ir import Rule, SubjectRules
+from keymint.ir import DeferredRules, Rule, SubjectRules
 from keymint.names import name_of
 from keymint_ros import certificate
 from keymint_ros.certificate import IssuedElement
@@ -292,14 +292,19 @@ def rendered_rules(content: bytes, base: str) -> SubjectRules | None:
 
     Returns:
         The rules with the places that the document states, at the first call for a document; None if this process did
-        not render it, or if reading it may give something else.
+        not render it, or if reading it may give something else. Only a message needs the places.
     """
     rules, base_then = _rendered.pop(content, (None, ""))
     if rules is None or base_then != base:
         return None
+    return DeferredRules(rules.subject, partial(_as_read, rules.rules, base), rules.kind)
+
+
+def _as_read(rules: Iterable[Rule], base: str) -> tuple[Rule, ...]:
+    """Return rules with the places that their document states."""
     chains: dict[int, tuple[Origin, ...]] = {}
     found = []
-    for rule in rules.rules:
+    for rule in rules:
         at = rule.origin
         chain = chains.get(id(at.chain))
         if chain is None:  # rules of one file share theirs
@@ -308,7 +313,7 @@ def rendered_rules(content: bytes, base: str) -> SubjectRules | None:
         found.append(
             Rule(rule.effect, rule.kind, rule.permissions, rule.expressions, rule.partitions, rule.audit, origin)
         )
-    return SubjectRules(rules.subject, tuple(found))
+    return tuple(found)
 
 
 @lru_cache(maxsize=1024)

@@ -85,7 +85,7 @@ def receive(asked: _Question, claims: tuple[Claim, ...]) -> None:
     """Keep claims that are all proven; others are decided again here, with their places."""
     if claims and all(claim.proof is Proof.PROVEN for claim in claims):
         task, governance, models = asked
-        remember(task, claims, None, models, governance)
+        remember(task, claims, models, governance)
 
 
 def terms(enclave: EnclaveFiles) -> tuple[ValidityTerm, ...]:

@@ -22,7 +22,7 @@ MAX_TOKENS = 20
 _AMBIGUOUS = frozenset('"\\<>;|')
 """Characters that some vendor escapes or treats as a separator when it compares names."""
 _USUAL = lazy_regex(r"(?:(OU=[\w.-]{1,64}),)?(CN=(?=.{1,64}\Z)/?[\w.-]+(?:/[\w.-]+){0,15})", re.ASCII)
-"""A name whose text is known without parsing it."""
+"""A name whose text is known without parsing it, and which every vendor reads and compares as it is."""
 _ESCAPED = lazy_regex(r"^#|[,+]")
 
 
@@ -35,6 +35,11 @@ def subject_name_of(grant: Grant) -> str:
     if usual := _USUAL.fullmatch(grant.subject_name):
         return f"{usual[2]},{usual[1]}" if usual[1] else usual[2]
     return render(distinguished_names.parse(grant.subject_name, grant.origin))
+
+
+def is_usual(name: str) -> bool:
+    """Tell whether every vendor finds a grant by a name and reads it as it is; of a name that is not, it may."""
+    return _USUAL.fullmatch(name) is not None
 
 
 def render(name: x509.Name, where: Origin | None = None) -> str:

@@ -28,6 +28,24 @@ def test_rules_are_read_once_when_they_are_asked_for() -> None:
     read.assert_called_once()
 
 
+def test_rules_that_are_read_later_equal_those_that_were_read() -> None:
+    deferred, rules = DeferredRules("/talker", lambda: RULES), SubjectRules("/talker", RULES)
+    assert deferred == rules == deferred
+    assert hash(deferred) == hash(rules)
+    assert deferred != SubjectRules("/listener", RULES)
+    assert SubjectRules("/talker", ()) != deferred
+    assert rules != RULES
+
+
+def test_the_kind_of_rules_is_made_once() -> None:
+    known = kind_of(RULES)
+    with mock.patch("keymint.ir.kind_of", side_effect=[known]):
+        rules = SubjectRules("/talker", RULES)
+        assert rules.kind is rules.kind is known
+    deferred = DeferredRules("/talker", mock.Mock(side_effect=AssertionError), known)
+    assert deferred.kind is known, "it was known before the rules were read"
+
+
 def test_another_process_gets_rules_that_were_read() -> None:
     deferred = DeferredRules("/talker", lambda: RULES)
     assert pickle.loads(pickle.dumps(deferred)) == SubjectRules("/talker", RULES)

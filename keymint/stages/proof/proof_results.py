@@ -21,7 +21,7 @@ from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.values import dataclass
 from keymint.api import Claim, Counterexample, DomainRange, Proof, ValidityTerm
 from keymint.errors import KeymintError
-from keymint.ir import Kind, Rule, SubjectRules, kind_of
+from keymint.ir import Kind, Rule, SubjectRules
 from keymint.life import terms
 from keymint.names import name_of
 from keymint.view.stamps import Stamp, State, digest
@@ -314,7 +314,7 @@ def load_proof(stamp: Stamp, folder: str) -> tuple[tuple[Claim, ...], tuple[Vali
 
 def placeless_digest(rules: Iterable[SubjectRules]) -> str:
     """Return a digest of rules, independent of where they are written."""
-    kinds = (kind_of(of_subject.rules) for of_subject in rules)
+    kinds = (of_subject.kind for of_subject in rules)
     return digest(*(part for kind, names in kinds for part in (_kind_digest(kind), *names)))
 
 

@@ -23,7 +23,7 @@ from comarmor.rules import is_fully_qualified
 from comarmor.values import dataclass
 from keymint.api import BuildOptions, Claim, DomainRange, Grant, Package, Validity
 from keymint.errors import KeymintError
-from keymint.ir import Arguments, Kind, kind_of
+from keymint.ir import Arguments, Kind
 from keymint_ros2_dds.compiling.grant_compiler import vendor_notes
 from keymint_ros2_dds.compiling.rewriting import gathered_rules
 from keymint_ros2_dds.decision.semantics import VARIATIONS
@@ -35,7 +35,7 @@ from keymint_ros2_dds.lowering.name_mapping import ARDENT, dds_patterns, needed_
 from keymint_ros2_dds.proving import claims
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant
 from keymint_ros2_dds.settings import validity_of
-from keymint_ros2_dds.subject_names import subject_name_of
+from keymint_ros2_dds.subject_names import is_usual, subject_name_of
 from keymint_ros2_dds.vendor_limits import TIGHT, signed_size
 
 MOST_WILDCARDS = 64
@@ -270,7 +270,7 @@ def emit_by_kind(package: Package, options: BuildOptions) -> Emitted:
         return received
     if options != BuildOptions():
         return emit(package, options)
-    kind, arguments = kind_of(package.grant.rules.rules)
+    kind, arguments = package.grant.rules.kind
     domains = package.grant.domains
     same = () if may_differ(kind, arguments) else tuple(text for text in arguments if "*" in text)
     key = kind, package.distro, domains, same
@@ -280,7 +280,7 @@ def emit_by_kind(package: Package, options: BuildOptions) -> Emitted:
             first, members.first = members.first, None
             members.structure = Structure.of(kind, arguments, package.distro)
             members.keep(first)
-        emitted = _by_renaming(package, kind, arguments, members)
+        emitted = _by_renaming(package, arguments, members)
         if emitted is not None:
             return emitted
     with step_limit(None) as counter:
@@ -301,14 +301,14 @@ def emit_by_kind(package: Package, options: BuildOptions) -> Emitted:
 
 def with_renamed_topics(rules: Sequence[GrantRule[str]], names: Mapping[str, str]) -> tuple[GrantRule[str], ...]:
     """Return rules with other names of topics, each list sorted as the compiler does."""
-    renamed: list[GrantRule[str]] = []
+    get, renamed = names.get, list[GrantRule[str]]()
     for rule in rules:
-        own = {action: tuple(sorted(names.get(text, text) for text in texts)) for action, texts in rule.topics.items()}
+        own = {action: tuple(sorted(map(get, texts, texts))) for action, texts in rule.topics.items()}
         renamed.append(GrantRule(rule.effect, rule.partitions, own))
     return tuple(renamed)
 
 
-def _by_renaming(package: Package, kind: Kind, arguments: Arguments, members: _Members) -> Emitted | None:
+def _by_renaming(package: Package, arguments: Arguments, members: _Members) -> Emitted | None:
     """Return the document of a package by renaming; None if a condition of the lemma does not hold."""
     grant = package.grant
     fit = None if members.structure is None else members.structure.fit(arguments)
@@ -324,7 +324,7 @@ def _by_renaming(package: Package, kind: Kind, arguments: Arguments, members: _M
     if signed_size(document) > TIGHT:
         return None
     dds_xml.know_valid(document, PERMISSIONS)
-    claims.remember(comparison(package, document), made.claims, (kind, arguments))
+    claims.remember(comparison(package, document), made.claims)
     notes = tuple(vendor_notes(rules, grant)) if made.notes or signature[2] else ()
     plain_size = len(document if plain == rules else permissions_document.render(grant, plain))
     return Emitted(document, rules, plain_size, None, made.claims, notes)
@@ -332,16 +332,16 @@ def _by_renaming(package: Package, kind: Kind, arguments: Arguments, members: _M
 
 def _is_plain(grant: Grant) -> bool:
     """Tell whether every model reads the head of a document as it is meant: the grant's name, subject and validity."""
+    if not (PLAIN_TEXT.fullmatch(grant.name) and _is_ever_in_force(validity_of(grant))):
+        return False
+    if is_usual(grant.subject_name):
+        return True
     try:
         text = subject_name_of(grant)
     except KeymintError:
         return False  # the engine says what is wrong first
-    return bool(
-        PLAIN_TEXT.fullmatch(grant.name)
-        and PLAIN_TEXT.fullmatch(text)
-        and all(semantics.selects(semantics.reads_text(text), text) for semantics in _SEMANTICS)
-        and _is_ever_in_force(validity_of(grant))
-    )
+    selected = all(semantics.selects(semantics.reads_text(text), text) for semantics in _SEMANTICS)
+    return selected and PLAIN_TEXT.fullmatch(text) is not None
 
 
 @lru_cache(maxsize=1 << 10)

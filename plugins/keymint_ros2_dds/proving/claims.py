@@ -14,7 +14,6 @@ from comarmor.patterns.decision_lists import ProofResult, Unknown, Witness
 from comarmor.patterns.proofs import escapes
 from comarmor.patterns.tokens import PatternError
 from keymint.api import Claim, ComparisonTask, DomainRange, Proof
-from keymint.ir import Arguments, Kind, kind_of
 from keymint_ros2_dds.decision.evaluator import DomainAccess
 from keymint_ros2_dds.decision.semantics import VARIATIONS, Semantics, shipped_models
 from keymint_ros2_dds.documents import dds_xml
@@ -249,7 +248,7 @@ def prove_content(
         claims = prove_content(task, models=models, lowered=lowered)
         if all(claim.proof is Proof.PROVEN for claim in claims):
             return claims
-    key = _key(task, kind_of(task.rules.rules), names, b"" if governance is None else governance.key)
+    key = _key(task, names, b"" if governance is None else governance.key)
     if (known := _proven.get(key)) is not None:
         return known
     document = signed_permissions.read(task.document, task.file, task.offset)
@@ -266,7 +265,6 @@ def prove_content(
 def remember(
     task: ComparisonTask,
     claims: tuple[Claim, ...],
-    rules: tuple[Kind, Arguments] | None = None,
     models: tuple[str, ...] | None = None,
     governance: EnclaveGovernance | None = None,
 ) -> None:
@@ -275,17 +273,16 @@ def remember(
     Args:
         task: the document, and what it must permit.
         claims: what is proven.
-        rules: the kind of its rules, and the names in these, if known.
         models: by which models; None: those that its distribution ships.
         governance: the governance beside it; None: all is under access control.
     """
     digest = b"" if governance is None or governance.transparent(task.domains) else governance.key
     names = shipped_models(task.distro) if models is None else models
     if len(_proven) < MOST:
-        _proven[_key(task, rules or kind_of(task.rules.rules), names, digest)] = claims
+        _proven[_key(task, names, digest)] = claims
 
 
-def _key(task: ComparisonTask, rules: tuple[Kind, Arguments], models: tuple[str, ...], governance: bytes) -> _Key:
+def _key(task: ComparisonTask, models: tuple[str, ...], governance: bytes) -> _Key:
     """Return everything that proven claims depend on."""
-    digest = hashlib.sha256(task.document).digest()
-    return digest, governance, *rules, task.subject_name, task.rules.subject, task.distro, task.domains, models
+    digest, rules = hashlib.sha256(task.document).digest(), task.rules
+    return digest, governance, *rules.kind, task.subject_name, rules.subject, task.distro, task.domains, models

@@ -10,6 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from keymint_ros2_dds import subject_names
+from keymint_ros2_dds.decision.semantics import VARIATIONS, Variation
+from keymint_ros2_dds.emit import kind_members
 
 from comarmor.errors import Origin
 from keymint.errors import KeymintError
@@ -39,6 +41,17 @@ def test_what_is_rendered_for_dds_is_read_back(pairs: list[tuple[str, str]]) -> 
         return
     assert text == ",".join(f"{kind}={value}" for kind, value in reversed(pairs))
     assert subject_names.parse_rendered(text) == name
+
+
+@given(st.from_regex(subject_names._USUAL.pattern, fullmatch=True), st.sampled_from(list(VARIATIONS.values())))
+def test_every_vendor_finds_the_grant_of_a_usual_name(name: str, variation: Variation) -> None:
+    """So a member of a kind with such a name is not asked about by each model."""
+    if subject_names.is_usual(name):  # the pattern means ASCII
+        loaded = package(name=name)
+        text, semantics = subject_names.subject_name_of(loaded.grant), variation.semantics
+        assert semantics.selects(semantics.reads_text(text), text)
+        assert semantics.reads_text(text) == text
+        assert kind_members.PLAIN_TEXT.fullmatch(text)
 
 
 @pytest.mark.parametrize(
