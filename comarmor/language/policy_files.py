@@ -114,14 +114,20 @@ class PolicyFiles:
     def documents(self) -> Iterator[tuple[PolicyFile, tuple[Origin, ...]]]:
         """Yield each document once, with the places that include it where it is first included, innermost first."""
         met: set[PolicyFile] = set()
-
-        def below(document: PolicyFile, chain: tuple[Origin, ...]) -> Iterator[tuple[PolicyFile, tuple[Origin, ...]]]:
-            met.add(document)
-            yield document, chain
-            for element, included in document.includes.items():
-                if included not in met:
-                    yield from below(included, (document.place(element), *chain))
-
         for root in self.roots:
             if root not in met:
-                yield from below(root, ())
+                yield from _documents(root, (), met)
+
+
+def _documents(
+    document: PolicyFile, chain: tuple[Origin, ...], met: set[PolicyFile]
+) -> Iterator[tuple[PolicyFile, tuple[Origin, ...]]]:
+    """Yield a document and those that it includes; see :meth:`PolicyFiles.documents`.
+
+    It is no function inside of another one, which would keep all documents until cycles are searched.
+    """
+    met.add(document)
+    yield document, chain
+    for element, included in document.includes.items():
+        if included not in met:
+            yield from _documents(included, (document.place(element), *chain), met)

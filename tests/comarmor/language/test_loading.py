@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+import gc
 from pathlib import Path
 
 import pytest
 
 import comarmor
+from comarmor.language.policy_files import PolicyFile
 
 from .policies import allow, include, profile, topics
 
@@ -93,3 +95,16 @@ def test_origins_name_the_library_as_it_is_shown(write, tmp_path) -> None:
     for load in (comarmor.load, lambda path, **library: comarmor.load_all([path], **library)):
         policy = load(root, library=tmp_path / "cache", library_shown=Path("lib"))
         assert str(policy.rules("/s")[0].origin) == f"lib/node.xml:1, included from {root}/p.xml:1"
+
+
+def test_a_loaded_policy_keeps_no_document(write) -> None:
+    root = write({"a.xml": profile(include("sub/b.xml")), "sub/b.xml": allow("/b")})
+    gc.collect()
+    gc.disable()
+    try:
+        policy = comarmor.load(root)
+        kept = [each for each in gc.get_objects() if isinstance(each, PolicyFile)]
+    finally:
+        gc.enable()
+    assert topics(policy) == ["/b"]
+    assert not kept
