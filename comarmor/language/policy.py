@@ -159,7 +159,7 @@ class _CompositeRow(Row):
         return bytes(map(all, zip(*parts, strict=True)))
 
 
-_MOST_CACHED = 4096
+_MOST_CACHED = 1024
 """Subjects whose rules are cached."""
 _MOST_INDEXED = 256
 """Subjects whose rules are indexed: questions come grouped by subject."""

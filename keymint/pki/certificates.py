@@ -142,7 +142,7 @@ def load_first(pem: bytes, where: Origin | None = None, *, with_lists: bool = Fa
     )
 
 
-@functools.lru_cache(maxsize=1 << 12)
+@functools.lru_cache(maxsize=1 << 10)
 def _parsed(pem: bytes) -> tuple[x509.Certificate, ...]:
     """Parse certificates completely; cached, because several rules ask about one."""
     certificates = tuple(x509.load_pem_x509_certificates(pem))

@@ -103,7 +103,7 @@ def parse(text: str, where: Origin | None = None) -> x509.Name:
         raise error.at(where) from None
 
 
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=1024)
 def _parsed(text: str) -> x509.Name:
     if not text.strip():
         raise KeymintError("a subject name is empty", help=_EXAMPLE, code="name-invalid")

@@ -7,6 +7,9 @@ Each process plans a part of the packages, and keeps the bytes that it planned u
 so that they begin with everything that was loaded. They send plans without bytes, so no key leaves them. Nothing is
 written until the plans of all packages have arrived and are right; then each process stages its part, and the parent
 commits all parts together.
+
+A process goes through all stages with some hundred packages, packs what it planned for them, and begins with the next
+ones: so its memory has no more than these in full.
 """
 
 from __future__ import annotations
@@ -18,11 +21,11 @@ import itertools
 import os
 import pickle
 import threading
+import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import fields, is_dataclass, replace
 from datetime import datetime
-from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from keymint.authority.authorities import STAGE as AUTHORITIES
 from keymint.errors import KeymintError, process_ended
@@ -37,6 +40,7 @@ from keymint.store.journal import Journal
 from keymint.store.staged import Exchange
 from keymint.store.store import Store, clock
 from keymint.view.recorded_answers import Answer, Call, Sight, is_recordable, name_of, record
+from keymint.view.stamps import digest
 from keymint.view.tree import Tree
 from keymint.workspace.package_build_types import BUILD, may_share
 from keymint.workspace.policy_loading import recorded_files
@@ -48,9 +52,11 @@ if TYPE_CHECKING:
 
 MIN_PACKAGES = 64
 """Packages from which on processes are worth their start."""
+MOST_PACKAGES = 512
+"""About how many packages a process has in full."""
 
-_DONE, _REFUSED, _CRASHED = "done", "refused", "crashed"
-"""Kinds of answers of a process."""
+_PART, _DONE, _REFUSED, _CRASHED = "part", "done", "refused", "crashed"
+"""Kinds of answers of a process: some plans of a stage, the last ones, and errors."""
 _Stages = Sequence[Callable[[Session], PackageStage]]
 
 
@@ -83,7 +89,7 @@ class Workers(Crew):
 
         # What the first package needs is imported, compiled and proven once for all processes.
         with contextlib.suppress(KeymintError):
-            for _ in _plan(lambda *_answer: None, session, names[:1], stages):
+            for _ in _plan(session, names[:1], stages):
                 pass
         context = multiprocessing.get_context("fork")
         for part in parts:
@@ -99,7 +105,7 @@ class Workers(Crew):
         """See :meth:`keymint.stages.work.Crew.planned`."""
         if not self._pipes:
             return super().planned(stage, names)
-        return [each for pipe in self._pipes for each in _answer(pipe)]
+        return [each for pipe in self._pipes for part in _answers(pipe) for each in part]
 
     def stage(self, store: Store) -> list[Exchange]:
         """Let the processes stage what they planned, and return it in the order of stages.
@@ -117,7 +123,7 @@ class Workers(Crew):
         errors: list[KeymintError] = []
         for pipe in self._pipes:
             try:
-                by_process.append(_answer(pipe))
+                by_process += _answers(pipe)
             except KeymintError as error:
                 errors.append(error)
         if errors:
@@ -167,25 +173,56 @@ class _Pickler(pickle.Pickler):
         return (kind, tuple([getattr(given, name) for name in names])) if names else NotImplemented
 
 
-def _send(pipe: Connection, *answer: object) -> None:
+def _pickled(*answer: object) -> memoryview:
     content = io.BytesIO()
     _Pickler(content, pickle.HIGHEST_PROTOCOL).dump(answer)
-    pipe.send_bytes(content.getbuffer())
+    return content.getbuffer()
 
 
-def _answer(pipe: Connection) -> list[Any]:
-    try:
-        kind, *answer = pickle.loads(pipe.recv_bytes())  # noqa: S301 - from a process that this one forked
-    except (EOFError, OSError):
-        raise process_ended("worker-ended") from None
-    if kind == _REFUSED:
-        raise KeymintError.of(*answer)
-    if kind == _CRASHED:
-        message, trace = answer
-        error = RuntimeError(message)
-        error.add_note(trace)
-        raise error
-    return cast("list[Any]", answer[0])
+class PackedChanges:
+    """Changes that take little memory until they are staged.
+
+    Keys are kept as they are: none is in one compressed text with other files.
+
+    Args:
+        changes: the changes.
+    """
+
+    def __init__(self, changes: Iterable[FolderChange]) -> None:
+        self._secrets: list[dict[str, File]] = []
+        public: list[FolderChange] = []
+        for each in changes:
+            secret = {name: file for name, file in each.files.items() if file.secret}
+            self._secrets.append(secret)
+            others = {name: file for name, file in each.files.items() if name not in secret}
+            public.append(replace(each, files=others) if secret else each)
+        self._packed = zlib.compress(_pickled(public), 1)
+        self._digest = digest(self._packed)
+
+    def __iter__(self) -> Iterator[FolderChange]:
+        if digest(self._packed) != self._digest:
+            raise ValueError("what was planned is damaged in memory")
+        (public,) = pickle.loads(zlib.decompress(self._packed))  # noqa: S301 - pickled above
+        for each, secret in zip(public, self._secrets, strict=True):
+            yield replace(each, files={**each.files, **secret}) if secret else each
+
+
+def _answers(pipe: Connection) -> Iterator[list[Any]]:
+    """Yield the parts of what a process answers."""
+    kind = _PART
+    while kind == _PART:
+        try:
+            kind, *answer = pickle.loads(pipe.recv_bytes())  # noqa: S301 - from a process that this one forked
+        except (EOFError, OSError):
+            raise process_ended("worker-ended") from None
+        if kind == _REFUSED:
+            raise KeymintError.of(*answer)
+        if kind == _CRASHED:
+            message, trace = answer
+            error = RuntimeError(message)
+            error.add_note(trace)
+            raise error
+        yield answer[0]
 
 
 def _work(
@@ -195,39 +232,76 @@ def _work(
     names: Sequence[str],
     stages: _Stages,
 ) -> None:
-    """Plan packages stage by stage; stage them when the parent says so. This runs in a process of its own."""
+    """Plan packages and send the plans stage by stage; stage them when the parent says so.
+
+    This runs in a process of its own.
+    """
     gc.freeze()  # a search for cycles among the parent's objects would copy their pages
     for each in inherited:  # otherwise this process would not see that the parent ended
         each.close()
     with contextlib.suppress(EOFError, OSError):
         try:
-            changes = list(_plan(partial(_send, pipe), session, names, stages))
+            changes = _planned_in_parts(pipe.send_bytes, session, names, stages)
             pipe.recv()
             store = open_store(session.workspace)
-            _send(pipe, _DONE, [store.stage(of_stage) for of_stage in changes])
+            staged = [[each for part in of_stage for each in store.stage(part)] for of_stage in changes]
+            pipe.send_bytes(_pickled(_DONE, staged))
         except KeymintError as error:
-            _send(pipe, _REFUSED, error.diagnostics, error.exit_code)
+            pipe.send_bytes(_pickled(_REFUSED, error.diagnostics, error.exit_code))
         except Exception as error:  # noqa: BLE001 - the parent reports it
             import traceback  # noqa: PLC0415 - few runs need it
 
-            _send(pipe, _CRASHED, f"{type(error).__name__}: {error}", traceback.format_exc())
+            pipe.send_bytes(_pickled(_CRASHED, f"{type(error).__name__}: {error}", traceback.format_exc()))
 
 
-def _plan(
-    send: Callable[..., None], session: Session, names: Sequence[str], stages: _Stages
-) -> Iterator[list[FolderChange]]:
-    """Plan packages, send the plans of each stage without their bytes, and yield the changes of each stage."""
+def _planned_in_parts(
+    send: Callable[[memoryview], None], session: Session, names: Sequence[str], stages: _Stages
+) -> list[list[Iterable[FolderChange]]]:
+    """Plan packages part by part, send the plans of all of them stage by stage, and return the changes of each stage.
+
+    Raises:
+        KeymintError: a stage cannot plan; the plans of all stages before it are sent.
+    """
+    parts = _parts(names, -(-len(names) // MOST_PACKAGES))
+    answers: list[list[memoryview]] = [[] for _ in stages]
+    changes: list[list[Iterable[FolderChange]]] = [[] for _ in stages]
+    refused: KeymintError | None = None
+    for part in parts:
+        is_last = part is parts[-1]
+        planned = _plan(session.apart(), part, stages[: len(answers)])
+        for number, of_stage in enumerate(answers):
+            try:
+                plans, changed = next(planned)
+            except KeymintError as error:
+                refused = error
+            except StopIteration:  # a package has errors, which the parent reports without what comes after it
+                refused = None
+            else:
+                of_stage.append(_pickled(_DONE if is_last else _PART, plans))
+                changes[number].append(PackedChanges(changed) if len(parts) > 1 else changed)
+                while is_last and of_stage:
+                    send(of_stage.pop(0))
+                continue
+            del answers[number:]
+            break
+    if refused:
+        raise refused
+    return changes
+
+
+def _plan(session: Session, names: Sequence[str], stages: _Stages) -> Iterator[tuple[list[Any], list[FolderChange]]]:
+    """Plan packages, and yield the plans of each stage without their bytes, and the changes of each stage."""
     for start in stages:
         stage = start(session)
         planned = [stage.package(name) for name in names]
         plans = [each for each in planned if isinstance(each, PackagePlan)]
-        send(_DONE, [_without_bytes(each) for each in plans] or planned)
+        changes = [change for each in plans if each.step for change in each.step.changes]
+        yield [_without_bytes(each) for each in plans] or planned, changes
         if any(each.errors for each in plans):
             return
         session = session_after(session, stage.NAME, plans)
         installed = [each for each in plans if not each.withdrawn]
         names = [each.name for each in installed if each.step is None or each.step.action is not Action.KEPT]
-        yield [change for each in plans if each.step for change in each.step.changes]
 
 
 def _without_bytes(plan: PackagePlan) -> PackagePlan:
@@ -272,7 +346,8 @@ def execute(
         store.begin(replace(intent, packages=tuple(sorted(changing))))
         for guard in guards:  # before the first secret is written
             store.write(guard.folder, guard.files, private=guard.private)
-        staged = _staged(plan, FolderChange(folder, {RECORD: File(plan.state.dump())}), store, workers)
+        # The record of a large fleet is made when all else is staged.
+        staged = _staged(plan, lambda: FolderChange(folder, {RECORD: File(plan.state.dump())}), store, workers)
         visible = clock(folder)
         store.commit(staged)
     else:
@@ -305,17 +380,17 @@ def require_register(plan: Plan, inputs: Inputs) -> None:
         )
 
 
-def _staged(plan: Plan, record: FolderChange, store: Store, workers: Workers) -> Sequence[Exchange]:
+def _staged(plan: Plan, record: Callable[[], FolderChange], store: Store, workers: Workers) -> Sequence[Exchange]:
     """Stage a plan and its record. What other processes hold comes before what is removed."""
     if not any(change.held for change in plan.changes()):
-        return store.stage((*plan.changes(), record))
+        return store.stage((*plan.changes(), record()))
     removals = Plan(tuple(step for step in plan.steps if step.action is Action.REMOVED), plan.state)
     others = replace(plan, steps=tuple(step for step in plan.steps if step.action is not Action.REMOVED))
     staged: list[Exchange] = []
     try:
         staged += store.stage(others.changes())
         staged += workers.stage(store)
-        staged += store.stage((*removals.changes(), record))
+        staged += store.stage((*removals.changes(), record()))
     except BaseException:
         store.discard(staged)
         raise

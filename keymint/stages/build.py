@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 from comarmor.errors import Defects, Diagnostic, Origin
 from keymint.api import BuildOptions, BuildResult, LoadedPolicy, Package
@@ -59,7 +59,6 @@ class BuildStage(PackageStage):
         self._asked = asked
         self._followers = followers
         self._policy = policy
-        self._moved = functools.cache(self._moves)
 
     def package(self, name: str) -> PackagePlan:
         """Return the plan for a package."""
@@ -103,7 +102,10 @@ class BuildStage(PackageStage):
         found = []
         for each in diagnostics:
             whose = subject or each.subject
-            place = self._moved(whose).get(each.where) if each.where and whose else None
+            # A cache of the method would be in a circle with this object, and keep the session.
+            is_placed = each.where and whose
+            moved = self._session.made(("moved rules", whose), partial(self._moves, whose)) if is_placed else {}
+            place = moved.get(each.where) if each.where else None
             found.append(replace(each, where=place) if place else each)
         return tuple(found)
 

@@ -24,7 +24,7 @@ _SEAL, _END = b',"sha256":"', b'"}\n'
 """Text around the digest at the end of a record, which detects damage."""
 
 
-def digest(*parts: bytes | str) -> str:
+def digest(*parts: bytes | bytearray | str) -> str:
     """Return the SHA-256, in hex, of several parts, each prefixed with its length to keep them distinct."""
     hashed = hashlib.sha256()
     for part in parts:
@@ -103,17 +103,28 @@ class State:
             number = shapes.setdefault(shape, len(shapes))
             return [stamp.inputs, number, values, brief(stamp.context), brief(stamp.lifetimes)]
 
-        stamps = {
-            stage: {name: row(stamp) for name, stamp in sorted(of_stage.items())}
-            for stage, of_stage in sorted(self.stamps.items())
-        }
-        return sealed_document({"version": VERSION, "stamps": stamps, "texts": [*texts], "shapes": [*shapes]})
+        # Each stamp becomes text at once: what the rows of a large fleet take is more than the stamps.
+        body = bytearray()
+        for number, (stage, of_stage) in enumerate(sorted(self.stamps.items())):
+            body += f"{'},' if number else ''}{_json(stage)}:{{".encode()
+            for at, (name, stamp) in enumerate(sorted(of_stage.items())):
+                body += f"{',' if at else ''}{_json(name)}:{_json(row(stamp))}".encode()
+        body[:0] = f'{{"shapes":{_json([*shapes])},"stamps":{{'.encode()
+        body += f'{"}" if self.stamps else ""}}},"texts":{_json([*texts])},"version":{VERSION}'.encode()
+        return _sealed(body)
+
+
+_json = json.JSONEncoder(separators=(",", ":"), sort_keys=True).encode
 
 
 def sealed_document(document: Mapping[str, Any]) -> bytes:
     """Return a document as JSON that ends with its digest; equal documents give equal bytes."""
-    body = json.dumps(document, separators=(",", ":"), sort_keys=True).removesuffix("}").encode()
-    return b"".join((body, _SEAL, digest(body).encode(), _END))
+    return _sealed(bytearray(_json(document).encode())[:-1])
+
+
+def _sealed(body: bytearray) -> bytes:
+    body += b"".join((_SEAL, digest(body).encode(), _END))
+    return bytes(body)
 
 
 def unsealed_document(content: bytes | None, version: int) -> Mapping[str, Any] | None:

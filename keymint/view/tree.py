@@ -6,6 +6,7 @@ Stages plan against this view, so that one run can plan all of them before its f
 
 from __future__ import annotations
 
+import copy
 import os
 import stat
 import sys
@@ -123,6 +124,12 @@ class Tree:
                     folders[around] = set(folders.get(around, ()))
                 folders[around].add(name)
                 folder = around
+        return tree
+
+    def apart(self) -> Tree:
+        """Return this view with a memory of its own of the disk."""
+        tree = Tree()
+        tree.__dict__.update({name: copy.copy(known) for name, known in self.__dict__.items()})
         return tree
 
     def _planned(self, path: str) -> tuple[bool, Content]:

@@ -257,6 +257,11 @@ class Session(Inputs):
         tree = self.tree.overlaid(plan.overlay())
         return replace(self, tree=tree, state=plan.state, _made_of_sources=made)
 
+    def apart(self) -> Self:
+        """Return the session with a memory of its own: what only this one is asked for is forgotten with it."""
+        known = dict(self._packages), dict(self._made_of_sources)
+        return replace(self, tree=self.tree.apart(), _packages=known[0], _made_of_sources=known[1])
+
     def package_files(self, name: str) -> dict[str, bytes]:
         """Return the XML files of a package, those of its ``package.defaults`` included; empty if there is none."""
         paths = package_paths(self.tree, self.workspace, name)

@@ -13,18 +13,22 @@ import signal
 import subprocess
 import sys
 import time
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from keymint.run.execution import MIN_PACKAGES
+from keymint.run.execution import MIN_PACKAGES, PackedChanges
+from keymint.store.changes import File, FolderChange
 from tests.conftest import Outcome, snapshot
 
 Keymint = Callable[..., Outcome]
 SIZE = MIN_PACKAGES + 10
 FEW = 20
-"""Packages of tests in which processes start for fewer packages than usual."""
+"""Packages of tests in which processes start for fewer packages than usual, and each has fewer at a time."""
 PROFILE = """<profile name="p{n}">
 <attachment>/{folder}robot{n}/talker</attachment>
 <ros_topic qualifier="ALLOW">
@@ -37,14 +41,14 @@ MAIN = """
 import sys
 from keymint.run import execution
 from keymint.cli import main
-execution.MIN_PACKAGES = 10
+execution.MIN_PACKAGES, execution.MOST_PACKAGES = 10, 4
 sys.exit(main(sys.argv[1:]))
 """
 SPY = """
 import multiprocessing.connection, os, sys
 from keymint.run import execution
 from keymint.cli import main
-execution.MIN_PACKAGES = 10
+execution.MIN_PACKAGES, execution.MOST_PACKAGES = 10, 4
 whole = multiprocessing.connection.Connection._send_bytes
 def copied(self, content):
     with open(f"{os.environ['SPY']}/{os.getpid()}", "ab") as file:
@@ -57,7 +61,7 @@ ENDED = """
 import os, signal, sys
 from keymint.run import execution
 from keymint.cli import main
-execution.MIN_PACKAGES = 10
+execution.MIN_PACKAGES, execution.MOST_PACKAGES = 10, 4
 from keymint.stages.{module} import {stage}
 package = {stage}.package
 def ended(self, name):
@@ -161,7 +165,7 @@ import os, signal, sys
 from keymint.run import execution
 from keymint.cli import main
 from keymint.run.execution import Workers
-execution.MIN_PACKAGES = 10
+execution.MIN_PACKAGES, execution.MOST_PACKAGES = 10, 4
 stage = Workers.stage
 def staged(self, store):
     process = self._processes[-1]
@@ -202,6 +206,63 @@ def test_a_process_that_is_ended(keymint: Keymint, tmp_path: Path, module: str, 
     assert not (tmp_path / "ws").exists()
     assert keymint("provision", source, "-w", "ws", "-j", 1).code == 0
     assert keymint("check", "-w", "ws").code == 0
+
+
+FORGETTING = """
+import gc, sys
+from pathlib import Path
+from keymint.run import execution
+from keymint.cli import main
+from keymint.view.tree import Tree
+execution.MIN_PACKAGES, execution.MOST_PACKAGES = 10, 2
+gc.disable()
+planned = execution._planned_in_parts
+def counted(*arguments):
+    trees = lambda: sum(isinstance(each, Tree) for each in gc.get_objects())
+    gc.unfreeze()
+    before = trees()
+    changes = planned(*arguments)
+    Path(f"kept-{id(arguments)}").write_text(str(trees() - before))
+    return changes
+execution._planned_in_parts = counted
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def test_a_process_forgets_the_packages_that_it_planned(tmp_path: Path) -> None:
+    source = policy(tmp_path / "policy.xml")
+    done = run(tmp_path, "provision", source, "-w", "ws", "-j", 2, program=FORGETTING)
+    assert done.code == 0, done.err
+    assert {path.read_text() for path in tmp_path.glob("kept-*")} == {"0"}
+
+
+FILES = st.builds(File, st.binary(max_size=50), st.booleans())
+CHANGES = st.builds(
+    FolderChange,
+    st.sampled_from([Path("/ws/src/a"), Path("/ws/install/b")]),
+    st.dictionaries(st.sampled_from("abc"), FILES),
+    st.just(("old",)),
+    st.booleans(),
+)
+
+
+@given(st.lists(CHANGES, max_size=5))
+def test_packed_changes_are_the_same(changes: list[FolderChange]) -> None:
+    assert list(PackedChanges(changes)) == changes
+
+
+def test_packed_changes_that_are_damaged_are_not_staged() -> None:
+    packed = PackedChanges([FolderChange(Path("/ws/src/a"), {"a": File(b"permissions")})])
+    packed._packed = packed._packed[:-5] + b"X" + packed._packed[-4:]
+    with pytest.raises(ValueError, match="damaged in memory"):
+        list(packed)
+
+
+def test_no_key_is_in_one_text_with_other_files() -> None:
+    secret = File(b"key of a", secret=True)
+    packed = PackedChanges([FolderChange(Path("/ws/install/a"), {"key.pem": secret, "cert.pem": File(b"cert of a")})])
+    assert b"key of a" not in zlib.decompress(packed._packed)
+    assert next(iter(packed)).files["key.pem"] is secret
 
 
 def test_no_private_key_leaves_its_process(tmp_path: Path) -> None:
