@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from itertools import chain
 from typing import TypeVar
 
@@ -46,8 +46,15 @@ def _identity(root: etree._Element) -> tuple[str, IssuedElement]:
 
 _element_of_subject = partial(certificate.read, known=certificate.SUBJECT_PLACEHOLDERS)
 _read_identity = Reader("keymint_ros", "identities", _identity)
-_read_identity_defaults = Reader("keymint_ros", "defaults_identities", _element_of_subject)
-_read_grant_defaults = Reader("keymint_ros", "defaults_permissions", _element_of_subject)
+_DEFAULTS = {
+    part: Reader("keymint_ros", f"defaults_{part}", _element_of_subject) for part in ("identities", "permissions")
+}
+
+
+@lru_cache(maxsize=64)
+def _read_defaults(part: str, content: bytes, file: str) -> IssuedElement:
+    """Return what the defaults of a part say; most packages share one object."""
+    return _DEFAULTS[part](content, file).in_file(file)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,12 +98,12 @@ class _PackageLoader:
             )
         return f"{self.folder}/{path}", content
 
-    def defaults(self, part: PackagePart) -> tuple[str, bytes]:
-        """Return the path, for messages, and the content of a part's defaults in the package or the profile."""
+    def defaults(self, name: str, part: PackagePart) -> IssuedElement:
+        """Return what a part's defaults in the package or the profile say."""
         file, content = self.optional_defaults(part)
         if content is None:
             content = file_in(self.profile.files, part.defaults, self.place(part), "package or its profile")
-        return file, content
+        return _read_defaults(name, content, file)
 
     def optional_defaults(self, part: PackagePart) -> tuple[str, bytes | None]:
         """Return the same; without content if there are no such defaults."""
@@ -113,9 +120,8 @@ class _PackageLoader:
         """Return the certificate of the subject."""
         part = self.manifest.part("identities")
         file, content = self.own(part)
-        defaults_file, defaults_content = self.defaults(part)
-        defaults = _read_identity_defaults(defaults_content, defaults_file).in_file(defaults_file)
-        own = IssuedElement(defaults.line, defaults_file)
+        defaults = self.defaults("identities", part)
+        own = IssuedElement(defaults.line, defaults.file)
         if content is not None:
             name, element = _read_identity(content, file)
             own = element.in_file(file)
@@ -162,8 +168,7 @@ class _PackageLoader:
             written: what the document says beside the rules, if there is one.
         """
         part = self.manifest.part("permissions")
-        file, content = self.defaults(part)
-        defaults = _read_grant_defaults(content, file).in_file(file)
+        defaults = self.defaults("permissions", part)
         own = written or defaults
         issuer = defaults.issuer or (SIGNER if SIGNER in self.authorities else "")
         return Grant(
@@ -258,8 +263,10 @@ def _renewed(issued: _Issued | None, issuance_: Issuance) -> _Issued | None:
     return replace(issued, validity=validity.renewed_period(issued.validity, issuance_.renewed))
 
 
-def _with_extensions(identity: CertificateSpec, settings: Iterable[PackageSettings]) -> CertificateSpec:
+def _with_extensions(identity: CertificateSpec, settings: Collection[PackageSettings]) -> CertificateSpec:
     """Return the identity with the extensions that build types add; an extension of the sources goes first."""
+    if not any(of_build_type.extensions for of_build_type in settings):
+        return identity
     extensions = {each.name: each for each in identity.extensions}
     for each in chain.from_iterable(of_build_type.extensions for of_build_type in settings):
         extensions.setdefault(each.name, each)

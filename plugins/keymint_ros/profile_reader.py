@@ -7,7 +7,7 @@ import os
 import posixpath
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 
 from lxml import etree
@@ -126,7 +126,12 @@ _read_policies = Reader("keymint_ros", "policies", _policies)
 
 def base_of(profile: WorkspaceProfile) -> str:
     """Return the path of the profile space as the user would type it, ending in a slash; or empty."""
-    folder = posixpath.dirname(profile.library or "")
+    return _base_of(profile.library or "")
+
+
+@lru_cache(maxsize=4)
+def _base_of(library: str) -> str:
+    folder = posixpath.dirname(library)
     return folder and f"{folder.rstrip('/')}/"
 
 

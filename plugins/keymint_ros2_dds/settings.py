@@ -171,7 +171,7 @@ def settings(sources: api.PackageSources) -> api.PackageSettings:
 
 
 def _governance(sources: api.PackageSources, part: api.SourcePart) -> DdsSettings:
-    own = () if part.content is None else _read(part.content, part.file).iterfind("domain_access_rules/domain_rule")
+    own = () if part.content is None else _read_own_rules(part.content, part.file)
     if part.defaults is None:
         message = f"there is no file {quote(part.defaults_file, 200)} in the package or its profile"
         raise KeymintError(message, where=part.where, help="create it, or correct the path", code="file-missing")
@@ -202,8 +202,12 @@ def _checked(root: etree._Element) -> etree._Element:
     return root
 
 
-_read = Reader("keymint_ros2_dds", "source_governance", _checked)
-"""Reads the governance of a package."""
+def _own_rules(root: etree._Element) -> tuple[etree._Element, ...]:
+    return tuple(_checked(root).iterfind("domain_access_rules/domain_rule"))
+
+
+_read_own_rules = Reader("keymint_ros2_dds", "source_governance", _own_rules)
+"""Reads the domain rules in the governance of a package."""
 _read_defaults = Reader("keymint_ros2_dds", "source_governance_defaults", _checked)
 """Reads the defaults of a domain rule."""
 
