@@ -8,6 +8,7 @@ a kind says which DDS names a subject puts into it, and what must be alike for t
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import field
@@ -199,6 +200,8 @@ MOST = 1_000
 """Kinds that are remembered."""
 MOST_EXEMPLARS = 100
 """Members of a kind that are remembered."""
+SMALL = dds_xml.INDENTED // 3
+"""Bytes of documents that are indented in any case: no line of one doubles its length by that."""
 FEW_STEPS = 5_000
 """Steps of the engine for a member that is renamed: a tenth of any limit, so that none decides about a document."""
 
@@ -215,6 +218,7 @@ class _Made:
         arguments: the names in its rules.
         rules: the rules in its document.
         plain: these in plain form.
+        sizes: bytes of its document, and of that in plain form.
         claims: what is proven about its document, and about every renamed one.
         notes: there are notes on its document.
     """
@@ -222,8 +226,15 @@ class _Made:
     arguments: Arguments
     rules: tuple[GrantRule[str], ...]
     plain: tuple[GrantRule[str], ...]
+    sizes: tuple[int, int]
     claims: tuple[Claim, ...]
     notes: bool
+
+    def more_often_plain(self, texts: Iterable[str]) -> Mapping[str, int]:
+        """Return how much more often the plain form has each of some topics, without those that it has as often."""
+        times = Counter(topic for rule in self.plain for topic in rule.every_topic())
+        times.subtract(topic for rule in self.rules for topic in rule.every_topic())
+        return {text: times[text] for text in dict.fromkeys(texts) if times[text]}
 
 
 @dataclass(slots=True)
@@ -233,12 +244,13 @@ class _Members:
     Attributes:
         first: the first member; None once it is among the exemplars.
         structure: None if no member can be renamed.
-        exemplars: a member for each signature, with its DDS names and expressions.
+        exemplars: a member for each signature, with its DDS names and expressions, and how much more often the plain
+            form has some of them.
     """
 
     first: _Made | None
     structure: Structure | None = None
-    exemplars: dict[Signature, tuple[_Made, list[str]]] = field(default_factory=dict)
+    exemplars: dict[Signature, tuple[_Made, list[str], Mapping[str, int]]] = field(default_factory=dict)
 
     def keep(self, made: _Made) -> None:
         """Keep a member that the engine did as an exemplar, unless its document cannot be a template.
@@ -253,7 +265,7 @@ class _Members:
         shared = {text for rule in (*made.rules, *made.plain) for text in rule.every_topic()}.difference(texts)
         odd = shared if signature[2] else [*filter(is_name, shared)]
         if with_renamed_topics(made.rules, {}) == made.rules and not odd:
-            self.exemplars[signature] = made, texts
+            self.exemplars[signature] = made, texts, made.more_often_plain(texts)
 
 
 _known: dict[tuple[Kind, str, Domains, tuple[str, ...]], _Members] = {}
@@ -289,7 +301,8 @@ def emit_by_kind(package: Package, options: BuildOptions) -> Emitted:
     # Only a minimal document that is not gathered, and usual, is a template.
     minimal = compiled is not None and compiled.portable and (emitted.rules,) == compiled.forms
     if compiled is not None and minimal and counter.spent <= FEW_STEPS and emitted.is_usual(package.grant):
-        made = _Made(arguments, emitted.rules, compiled.plain, emitted.claims, bool(emitted.diagnostics))
+        sizes = len(emitted.document), emitted.plain_size
+        made = _Made(arguments, emitted.rules, compiled.plain, sizes, emitted.claims, bool(emitted.diagnostics))
         if members is not None:
             members.keep(made)
         else:
@@ -315,9 +328,9 @@ def _by_renaming(package: Package, arguments: Arguments, members: _Members) -> E
     if fit is None or fit[1] not in members.exemplars or not _is_plain(grant):
         return None
     own, signature = fit
-    made, others = members.exemplars[signature]
+    made, others, more_often = members.exemplars[signature]
     names = dict(zip(others, own, strict=True))
-    rules, plain = with_renamed_topics(made.rules, names), with_renamed_topics(made.plain, names)
+    rules = with_renamed_topics(made.rules, names)
     if gathered_rules(rules) != rules:
         return None
     document = permissions_document.render(grant, rules)
@@ -326,7 +339,11 @@ def _by_renaming(package: Package, arguments: Arguments, members: _Members) -> E
     dds_xml.know_valid(document, PERMISSIONS)
     claims.remember(comparison(package, document), made.claims)
     notes = tuple(vendor_notes(rules, grant)) if made.notes or signature[2] else ()
-    plain_size = len(document if plain == rules else permissions_document.render(grant, plain))
+    size, plain_size = made.sizes
+    plain_size += len(document) - size
+    plain_size += sum(times * (len(names[text]) - len(text)) for text, times in more_often.items())
+    if max(len(document), plain_size, *made.sizes) > SMALL:  # perhaps some are indented, and some are not
+        plain_size = len(permissions_document.render(grant, with_renamed_topics(made.plain, names)))
     return Emitted(document, rules, plain_size, None, made.claims, notes)
 
 

@@ -410,6 +410,26 @@ class TestConditions:
         assert b"\n<permissions>" in built[1].documents["permissions.xml"]
         assert built == [by_engine(each) for each in loaded]
 
+    @pytest.mark.parametrize("covered", ["/own/*", "/x"], ids=["names often in the plain form", "as often"])
+    def test_sizes_of_members_from_small_to_large(self, covered: str) -> None:
+        """The size of the plain form is reckoned from that of the first, while all are indented."""
+
+        def subject(length: int) -> Package:
+            names = [f"/own/{letter * (length + ord(letter))}" for letter in "abcdefghijklmno"]
+            all_of = rule("ALLOW", *TALK, covered), rule("ALLOW", *TALK, *names), rule("ALLOW", *HEAR, names[0])
+            return package(*all_of, rule("ALLOW", "ros_topic", "ros_publish ros_subscribe", "/other", *names[:3]))
+
+        lengths = [300, 0, 1, 150, 250, 500, 900, 1_000, 1_300]
+        sizes = set()
+        for loaded in ([subject(each) for each in order] for order in (lengths, lengths[::-1])):
+            with mock.patch.object(kind_members, "_known", {}):
+                built, asked = by_kind(*loaded)
+            assert asked == 1
+            assert built == [by_engine(each) for each in loaded]
+            sizes |= {(*each.plain_sizes.values(), len(each.documents["permissions.xml"])) for each in built}
+        assert all(plain > size for plain, size in sizes if plain <= kind_members.SMALL)
+        assert {max(each) > kind_members.SMALL for each in sizes} == {True, False}
+
     def test_a_name_that_is_also_an_alternative_for_a_set(self) -> None:
         """``[12]`` is written as two texts. In the first subject one of them is its name, too; nobody can tell."""
         first, second = (package(rule("ALLOW", *TALK, "/x[12]", name)) for name in ("/x1", "/x2"))
