@@ -344,17 +344,24 @@ print(json.dumps({
 def running(root: Path) -> Mapping[str, int]:
     """Return what a first provision of two enclaves runs."""
     with tempfile.TemporaryDirectory(prefix="keymint-house-") as folder:
-        arguments = ["provision", str(root / "examples/talker_listener"), "-w", f"{folder}/ws"]
-        done = subprocess.run(
-            [sys.executable, "-c", TRACED, str(root), " ".join(ROOTS), *arguments],
-            cwd=folder,
-            env=_environment(root),
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        return traced(root, Path(folder), *FIRST)
+
+
+FIRST = ("provision", str(CHECKOUT / "examples/talker_listener"), "-w", "ws")
+
+
+def traced(root: Path, folder: Path, *arguments: str) -> Mapping[str, int]:
+    """Return what a command runs in a folder."""
+    done = subprocess.run(
+        [sys.executable, "-c", TRACED, str(root), " ".join(ROOTS), *arguments],
+        cwd=folder,
+        env=_environment(root),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     if done.returncode:
-        sys.exit(f"provision ended with {done.returncode}: {done.stderr[-2000:]}")
+        sys.exit(f"{arguments[0]} ended with {done.returncode}: {done.stderr[-2000:]}")
     counted: dict[str, int] = json.loads(done.stderr.splitlines()[-1])
     return counted
 

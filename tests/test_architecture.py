@@ -109,6 +109,7 @@ def test_one_module_adds_a_plan_and_takes_it_into_account() -> None:
 # budget. A change that must raise one says why in its commit.
 FILES_IN_A_FOLDER, FILES_IN_KEYMINT = 20, 8
 CODE_LINES, DATA_TYPES, PROTOCOLS = 44_582, 337, 0
+IMPORTED = {"--version": 13, "provision": 208, "status": 142}
 CONDUCTORS, JUDGES, DOUBLED_NAMES, BARE_NAMES = 1, 0, 0, 0
 
 
@@ -122,6 +123,13 @@ def counted() -> Sequence[house.Module]:
 
 def test_lines_of_code(counted: Sequence[house.Module]) -> None:
     assert house.code_lines(counted) <= CODE_LINES
+
+
+def test_modules_that_a_run_imports(tmp_path: Path) -> None:
+    """Each takes 0.2 ms: a run of two enclaves spends most of its time on imports."""
+    commands = (("--version",), house.FIRST, ("status", "-w", "ws"))
+    found = {each[0]: house.traced(CHECKOUT, tmp_path, *each)["modules imported"] for each in commands}
+    assert {command: number for command, number in found.items() if number > IMPORTED[command]} == {}
 
 
 def test_files_in_a_folder(counted: Sequence[house.Module]) -> None:

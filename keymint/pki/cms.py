@@ -15,7 +15,6 @@ from cryptography import x509
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec, padding, rsa
-from cryptography.hazmat.primitives.serialization import pkcs7
 
 from comarmor.values import dataclass
 from keymint.pki import der
@@ -51,12 +50,6 @@ _DIGESTS = {
 # RSA only by rsaEncryption (RFC 3370, 3.2): sha256WithRSAEncryption differs from it by one altered byte.
 _RSA = _algorithm("1.2.840.113549.1.1.1")
 
-_OPTIONS = (
-    pkcs7.PKCS7Options.DetachedSignature,
-    pkcs7.PKCS7Options.Binary,  # the caller passes canonical text
-    pkcs7.PKCS7Options.NoCapabilities,  # useful in e-mail only, and documents travel in every handshake
-)
-
 
 @dataclass(frozen=True, slots=True)
 class Signature:
@@ -81,8 +74,15 @@ class Signature:
 
 def sign(text: bytes, certificate: x509.Certificate, key: PrivateKey) -> bytes:
     """Return a detached signature over a text, with SHA-256, in DER."""
+    from cryptography.hazmat.primitives.serialization import pkcs7  # noqa: PLC0415 - loads the package 'email'
+
     builder = pkcs7.PKCS7SignatureBuilder().set_data(text).add_signer(certificate, key, hashes.SHA256())
-    return builder.sign(serialization.Encoding.DER, _OPTIONS)
+    options = (
+        pkcs7.PKCS7Options.DetachedSignature,
+        pkcs7.PKCS7Options.Binary,  # the caller passes canonical text
+        pkcs7.PKCS7Options.NoCapabilities,  # useful in e-mail only, and documents travel in every handshake
+    )
+    return builder.sign(serialization.Encoding.DER, options)
 
 
 def parse(signature: bytes) -> Signature:

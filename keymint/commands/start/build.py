@@ -12,7 +12,6 @@ from comarmor.errors import Diagnostic, Origin
 from comarmor.text import did_you_mean
 from keymint.analysis.lint.attachment_mistakes import attachment_mistakes
 from keymint.api import BuildOptions, Hint, LoadedPolicy
-from keymint.command_line.named_files import read_input
 from keymint.command_line.options import DocumentOptions, document_options, packages_argument, renew_option
 from keymint.command_line.verb import Report, Run, flag, verb
 from keymint.errors import KeymintError
@@ -91,7 +90,8 @@ def build_options(run: Run, given: DocumentOptions) -> BuildOptions:
         raise click.UsageError("--hints changes the order of rules, which --no-optimise keeps.")
     hints: tuple[Hint, ...] = ()
     if given.hints is not None:
-        from keymint.command_line.request_counts import load_hints  # noqa: PLC0415 - few builds have hints
+        from keymint.command_line.named_files import read_input  # noqa: PLC0415 - few builds have hints
+        from keymint.command_line.request_counts import load_hints  # noqa: PLC0415
 
         hints = load_hints(read_input(run, given.hints), str(given.hints))
     return BuildOptions(given.allow_vendor_specific, given.optimise, hints)
