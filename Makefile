@@ -64,7 +64,7 @@ bench: setup
 lock: setup
 	$(BIN)/python -m pip install --quiet uv
 	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header --no-annotate \
-		--no-emit-index-url --extra dask --extra dev --extra pkcs11 --extra zenoh pyproject.toml -o requirements.lock
+		--no-emit-index-url --extra dev --extra pkcs11 --extra zenoh pyproject.toml -o requirements.lock
 
 clean:
 	rm -rf $(VENV) $(DEMO) $(ZENOH_DEMO)

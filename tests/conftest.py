@@ -39,7 +39,7 @@ NOW = 1_800_000_000
 """2027-01-15T08:00:00Z, the clock of the tests, as ``SOURCE_DATE_EPOCH``."""
 
 
-LONGEST = ("robustness", "packaging", "executors", "tests")
+LONGEST = ("robustness", "packaging", "tests")
 """Folders of the tests that take longest. They start first, so that no processor is idle at the end."""
 WAITING = "real"
 """The folder of tests that mostly wait for other software. They run beside those that compute."""

@@ -71,8 +71,6 @@ EXCEPTIONS = (
     Allowed("comarmor/rules.py", "dds", "the title of the ROS 2 design document"),
     Allowed("comarmor/rules.py", "wire prefix", "the names of raw topics in policies, for advice on mistaken ones"),
     Allowed("keymint/pki/smime.py", "s/mime file", "the file name that RFC 8551, 3.2.1, gives to a signature"),
-    Allowed("keymint/verify/copies.py", "s/mime file", "a closed list of suffixes decides what leaves the machine"),
-    Allowed("keymint/verify/copies.py", "json5", "the same list"),
 )
 
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from typing import Any
 
 from comarmor.errors import Diagnostic
 from keymint.api.building import (
@@ -295,26 +294,6 @@ class BuildType(ABC):
     def advisories(self, vendor: str, version: str) -> Sequence[Diagnostic]:
         """Return a finding for each known vulnerability of access control that affects a version of a vendor."""
         return ()
-
-    # -- other machines, which nobody vouches for, may compile for it --------------------------------------------------
-
-    def is_remote(self, package: Package) -> bool:
-        """Tell whether another machine may compile a package: what it answers can be proven.
-
-        Then there are the two methods below.
-        """
-        return False
-
-    def compiling(self) -> Callable[[Any, Sequence[tuple[Package, BuildOptions]]], Sequence[object]]:
-        """Return the function of a module that a worker calls with packages; its annotation has the exact type.
-
-        Its result has an item for each package; None if there is more to say about the package than its documents.
-        """
-        raise NotImplementedError
-
-    def receive(self, package: Package, options: BuildOptions, compilation: object, *, trusted: bool) -> None:
-        """Keep such an item for :meth:`build`, which proves it before it uses it, unless it is trusted."""
-        raise NotImplementedError
 
     # -- documents over all packages, where one place decides for all of them ------------------------------------------
 

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -150,13 +150,6 @@ class LoadedPolicy(ABC):
             KeymintError: the kind or the permission is not known.
         """
         return bytes(self.decide(Edge(subject, permission, Object(kind, name))).allowed for name in names)
-
-    def about(self, subjects: Collection[str]) -> LoadedPolicy | None:
-        """Return the policy about some subjects, as data that can be pickled; nothing is asked about others.
-
-        None if it cannot be sent to another machine.
-        """
-        return None
 
     def rules_digest(self, subject: str) -> str | None:
         """Return a digest that differs if the rules of a subject or their files do.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-# ruff: noqa: ARG002 - defaults ignore their arguments
+
 """Provers: prove that installed documents permit exactly what the policy allows, for all names."""
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field
 from datetime import datetime
 from enum import StrEnum
-from typing import Any
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
@@ -233,23 +232,3 @@ class Prover(ABC):
         Raises:
             KeymintError: no document of the enclave can be read, or the anchors do not vouch for it.
         """
-
-    # -- what is costly, and needs no secret, can be proven on other machines ------------------------------------------
-
-    def question(self, task: ProofTask) -> object:
-        """Verify the files of an enclave as :meth:`prove` does, and return what is to be proven, as plain data.
-
-        None if it is to be proven here; otherwise there are the two methods below.
-
-        Raises:
-            KeymintError: the files cannot be read, or the anchors do not vouch for them.
-        """
-        return None
-
-    def proving(self) -> Callable[[Any, Sequence[Any]], Sequence[Sequence[Claim]]]:
-        """Return the function of a module that a worker calls with questions; claims for each, or none."""
-        raise NotImplementedError
-
-    def know(self, question: Any, claims: Sequence[Claim]) -> None:
-        """Keep proven claims for :meth:`prove`, which decides all others itself."""
-        raise NotImplementedError

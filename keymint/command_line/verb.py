@@ -24,7 +24,6 @@ from keymint import SPACES
 from keymint.api import GraphSource
 from keymint.api.plugin_loader import Plugins
 from keymint.errors import KeymintError, usage_error
-from keymint.executors import PROCESSES
 from keymint.output.report import Report, findings_exit, findings_if
 from keymint.run.run import Run, Setting
 from keymint.workspace.shipped_profiles import UnacceptedPackagesError
@@ -253,7 +252,7 @@ def graph_source(plugins: Plugins, name: str | None, option: str) -> GraphSource
 
 
 def common_options(
-    *, workspace: bool = True, jobs: bool = False, dry_run: bool = False, executor: bool = False
+    *, workspace: bool = True, jobs: bool = False, dry_run: bool = False, processes: bool = False
 ) -> Iterator[click.Option]:
     """Yield the options that are not about what a verb does.
 
@@ -261,7 +260,7 @@ def common_options(
         workspace: the verb may read or write a workspace.
         jobs: the verb writes several packages at a time.
         dry_run: the verb writes files.
-        executor: the verb can compute in other processes, here or on a cluster.
+        processes: the verb can compute in several processes.
     """
     if workspace:
         yield click.Option(
@@ -276,23 +275,8 @@ def common_options(
     yield click.Option(["-q", "--quiet"], is_flag=True, help="Show errors only.")
     for space in SPACES if workspace else ():  # 'keymint --help' lists them
         yield click.Option([f"--{space}-space"], type=PATH, metavar="DIR", hidden=True)
-    if jobs or executor:
+    if jobs or processes:
         what = "Write N packages at a time [all cores]." if jobs else "Use N processes [all cores]."
         yield click.Option(["-j", "--jobs"], type=click.IntRange(1, 256), metavar="N", help=what)
-    if executor:
-        yield click.Option(
-            ["--executor"],
-            default=PROCESSES,
-            show_default=True,
-            metavar="WHERE",
-            help="Compute in processes of this machine, or on a cluster: dask://HOST:PORT, tls://HOST:PORT "
-            "(docs/scale.md).",
-        )
-    if executor and dry_run:  # the verbs that sign, or record what is proven
-        yield click.Option(
-            ["--trust-executor"],
-            is_flag=True,
-            help="Accept what the cluster proves; else documents are proven again here before they are signed.",
-        )
     if dry_run:
         yield click.Option(["--dry-run"], is_flag=True, help="Show what would change; write nothing.")

@@ -18,14 +18,13 @@ from comarmor.errors import Diagnostic
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint.api import BuildOptions, BuildType, Inspection, Package
-from keymint.api.plugin_loader import Plugins
 from keymint.authority.authority_files import trusted_chains
 from keymint.authority.examine import DECIDED_BY_A_PERSON
 from keymint.errors import KeymintError
 from keymint.examine.authorities import authorities, elsewhere, encryption, exposed_keys, git_exposure
 from keymint.examine.files import enclave_files_on_disk, file_status, outside_enclaves, unexpected_file
 from keymint.examine.keystore import deciding_findings, staged_keystore_session
-from keymint.executors import Pool
+from keymint.host.pool import Pool
 from keymint.life.examine import Keyring, orphan_findings, shared_keys
 from keymint.life.workspace_register import withdrawn
 from keymint.names import subject_of
@@ -263,7 +262,7 @@ _OF_RECORD = frozenset({"record-missing", "key-missing"})
 """Codes of findings on what nobody records, or has, of a second keystore."""
 
 
-def _carry_out(_plugins: Plugins, task: Callable[[], Iterable[Any]]) -> tuple[Any, ...]:
+def _carry_out(task: Callable[[], Iterable[Any]]) -> tuple[Any, ...]:
     return tuple(task())
 
 

@@ -20,7 +20,7 @@ from keymint.authority.authority_files import issuers
 from keymint.authority.rollover import staged_session
 from keymint.errors import KeymintError
 from keymint.examine.rights import presented_rights
-from keymint.executors import Pool
+from keymint.host.pool import Pool
 from keymint.life.examine import RIGHTS_OUTLIVE
 from keymint.life.revocation_lists_in_force import enclave_lists
 from keymint.life.terms import iso_time

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import field, replace
 from datetime import datetime
 from pathlib import Path
@@ -15,10 +15,10 @@ from comarmor.errors import Diagnostic, Origin, Severity, citation
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint import SPACES
-from keymint.api import BuildOptions, Environment
+from keymint.api import Environment
 from keymint.api.plugin_loader import Plugins
-from keymint.errors import ExitCode, KeymintError, usage_error
-from keymint.executors import PROCESSES, Pool
+from keymint.errors import ExitCode, KeymintError
+from keymint.host.pool import Pool
 from keymint.names import package_name
 from keymint.output.console import Console, Streams
 from keymint.output.report import Report, merged_diagnostics
@@ -99,13 +99,8 @@ class Run:
             as_json=options["as_json"],
         )
         self.plugins = Plugins(environment=Environment(setting.now, setting.cache, setting.environment))
-        self._trusted: bool = options.get("trust_executor", False)
-        self._executor: str = options.get("executor", PROCESSES)
-        self.has_cluster = self._executor != PROCESSES
         self.crew = Workers(self.jobs if "jobs" in options else 1, setting.monotonic)
         """Who plans packages for the conductor of the stages."""
-        if self.has_cluster:
-            self.crew.compile_elsewhere = self._compile_elsewhere
         self.tokens = Tokens(setting.environment, setting.ask)
         self._named: Path | None = options.get("workspace")
         self._spaces: dict[str, Path] = {
@@ -221,39 +216,10 @@ class Run:
                 )
         return names
 
-    # -- computing elsewhere -------------------------------------------------------------------------------------
-
-    def _compile_elsewhere(self, session: Session, names: Sequence[str], options: BuildOptions, prove: bool) -> None:
-        """Let the cluster compile what the build of some packages needs.
-
-        Raises:
-            KeymintError: the cluster cannot be used, or is not trusted although its documents would not be proven.
-        """
-        if not prove and not self._trusted:
-            raise usage_error(
-                "--no-prove would sign what a cluster compiled and nobody proved",
-                "prove it, or say --trust-executor",
-            )
-        from keymint.stages.build import compile_elsewhere  # noqa: PLC0415 - few runs need it
-
-        with self.pool() as pool:
-            compile_elsewhere(pool, session, names, options)
-
-    @contextlib.contextmanager
-    def pool(self) -> Iterator[Pool]:
-        """Yield where to carry out work that can be divided.
-
-        Raises:
-            KeymintError: the user named a cluster that cannot be used.
-        """
-        if not self.has_cluster:
-            yield Pool(self.plugins, self.jobs)
-            return
-        from keymint.executors.cluster import cluster  # noqa: PLC0415 - few runs need it
-
-        setting = self.setting
-        with cluster(self._executor, self.plugins, setting.now, setting.environment, trusted=self._trusted) as pool:
-            yield pool
+    @property
+    def pool(self) -> Pool:
+        """The processes that carry out work that can be divided."""
+        return Pool(self.jobs)
 
     # -- what was interrupted ------------------------------------------------------------------------------------
 

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -12,7 +10,6 @@ from functools import partial
 from comarmor.errors import Defects, Diagnostic, Origin
 from keymint.api import BuildOptions, BuildResult, LoadedPolicy, Package
 from keymint.errors import KeymintError
-from keymint.executors import Pool
 from keymint.life import terms
 from keymint.life.package_issuance import place_of
 from keymint.names import name_of, subject_of
@@ -251,39 +248,3 @@ def _built(session: Session, package: Package, options: BuildOptions) -> BuildRe
             diagnostics += built.diagnostics
     defects.require_none()
     return BuildResult(documents, tuple(dict.fromkeys(diagnostics)), sizes)
-
-
-# -- on a cluster ------------------------------------------------------------------------------------------------------
-
-
-def compile_elsewhere(pool: Pool, session: Session, names: Sequence[str], options: BuildOptions) -> None:
-    """Let a cluster compile what the build of some packages needs; what it answers is proven when it is used.
-
-    A kind with several members is compiled here: the document of the others is that of the first with names put in.
-
-    Args:
-        pool: the cluster.
-        session: the workspace and its profile.
-        names: the packages.
-        options: options of the build.
-
-    Raises:
-        KeymintError: the cluster is lost, or its versions differ.
-    """
-    candidates: list[Package] = []
-    for name in names:
-        if not package_build_types.is_build_current(session, name):
-            with contextlib.suppress(KeymintError):  # the build reports it
-                candidates.append(session.package(name))
-    kinds = [(each.grant.rules.kind[0], each.distro, each.grant.domains) for each in candidates]
-    members = Counter(kinds)
-    packages = [package for package, kind in zip(candidates, kinds, strict=True) if members[kind] == 1]
-    for name in dict.fromkeys(name for package in packages for name in package.build_types):
-        compiler = session.plugins.build_type(name)
-        own = [each for each in packages if name in each.build_types and compiler.is_remote(each)]
-        if not own:
-            continue
-        tasks = pool.parts([(each, options_of(options, each.subject)) for each in own], 1)
-        for part, compiled in zip(tasks, pool.map(compiler.compiling(), tasks), strict=True):
-            for (package, its_options), one in zip(part, compiled, strict=False):
-                compiler.receive(package, its_options, one, trusted=pool.trusted)

@@ -16,7 +16,7 @@ from typing import Any, cast
 
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
-from keymint.api import BuildOptions, LoadedPolicy, Role
+from keymint.api import LoadedPolicy, Role
 from keymint.authority.authorities import Authorities, plan_authorities
 from keymint.authority.authority_files import current_rollover, trusted_chains
 from keymint.life.examine import RIGHTS_OUTLIVE
@@ -130,7 +130,8 @@ def _conducted(start: Work, request: Request, crew: Crew) -> Work:
         create = stages[CREATE](work.session)
         settled = _settled(work, names, create)
         subjects = create.subjects(names, settled)
-    _share(work.session, [name for name in subjects if name not in settled], stages, request, crew)
+    if PROVE in stages or not _proves(request):
+        crew.start(work.session, [name for name in subjects if name not in settled], tuple(stages.values()))
     if CREATE in stages:
         work = _through(work, stages[CREATE], subjects, request, crew, settled)
         names = tuple(dict.fromkeys((*names, *work.session.infrastructure())))
@@ -252,20 +253,6 @@ def _stages(request: Request, authorities: Authorities, crew: Crew) -> _Stages:
     if policy and _proves(request):
         stages[PROVE] = proof_stage(crew, policy, options)
     return stages
-
-
-def _share(session: Session, names: Sequence[str], stages: _Stages, request: Request, crew: Crew) -> None:
-    """Let a cluster compile the rules of some packages, and processes plan them; these begin at once."""
-    options = request.options
-    if crew.compile_elsewhere and BUILD in stages:
-        ahead = session
-        if CREATE in stages:
-            create = stages[CREATE](session)
-            ahead = session.after(create.plan([create.package(name) for name in names]))
-        # Processes begin with what the cluster compiled.
-        crew.compile_elsewhere(ahead, names, options.build or BuildOptions(), options.prove)
-    if PROVE in stages or not _proves(request):
-        crew.start(session, names, tuple(stages.values()))
 
 
 def _through(

@@ -106,12 +106,9 @@ class Crew:
 
     Attributes:
         monotonic: returns seconds.
-        compile_elsewhere: lets a cluster compile what the build of some packages needs, with these options, and tells
-            whether that will be proven; None if there is no cluster.
     """
 
     monotonic: Callable[[], float]
-    compile_elsewhere: Callable[[Session, Sequence[str], BuildOptions, bool], None] | None = None
 
     def start(
         self, session: Session, names: Sequence[str], stages: Sequence[Callable[[Session], PackageStage]]

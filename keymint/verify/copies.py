@@ -19,12 +19,8 @@ from keymint.api import InstalledEnclave, Transport, Verdict
 from keymint.errors import KeymintError
 from keymint.view.tree import Tree
 
-PUBLIC = {".json", ".json5", ".p7s", ".pem", ".sig", ".xml"}
-"""Suffixes of files that a model may read, and that may leave this machine."""
 _KEY = "key.pem"
 """How the names of private keys end, whatever is in them."""
-_PRIVATE = b"PRIVATE KEY"
-"""What a private key in PEM says of itself (RFC 7468)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,28 +31,11 @@ class Copies:
         enclaves: the copies by subject.
         root: the install space of the copies.
         install: the install space of the originals.
-        left_out: the folders of enclaves that these copies are not about.
     """
 
     enclaves: Mapping[str, InstalledEnclave]
     root: Path
     install: Path
-    left_out: frozenset[Path] = frozenset()
-
-    def about(self, subjects: Collection[str]) -> Copies:
-        """Return the copies of some subjects; the files that are no enclave's, and of infrastructure, are kept."""
-        others = frozenset(each.folder for subject, each in self.enclaves.items() if subject not in subjects)
-        return replace(self, enclaves={subject: self.enclaves[subject] for subject in subjects}, left_out=others)
-
-    def public_files(self) -> Mapping[str, bytes]:
-        """Return the files that are no secrets, by path relative to the root."""
-        return {
-            str(file.relative_to(self.root)): content
-            for file in sorted(self.root.rglob("*"))
-            if file.parent not in self.left_out and file.suffix in PUBLIC and file.is_file()
-            if not file.name.endswith(_KEY)
-            if _PRIVATE not in (content := file.read_bytes())
-        }
 
     def back(self, text: str) -> str:
         """Replace the directory of the copies by the directory of the originals."""
@@ -109,23 +88,6 @@ def enclave_copies(
         copies = Copies(_moved(enclaves, install, root), root, install)
         with copies.named():
             yield copies
-
-
-@contextlib.contextmanager
-def local_copies(copies: Copies, files: Mapping[str, bytes] | None) -> Iterator[Copies]:
-    """Yield copies that can be read here: these, or on another machine those that are made of their files."""
-    if files is None:
-        yield copies
-        return
-    with tempfile.TemporaryDirectory(prefix="keymint-") as folder:
-        root = Path(folder).resolve()
-        for path, content in files.items():
-            file = root / path
-            file.parent.mkdir(parents=True, exist_ok=True)
-            file.write_bytes(content)
-        here = Copies(_moved(copies.enclaves, copies.root, root), root, copies.install)
-        with here.named():
-            yield here
 
 
 def _moved(enclaves: Mapping[str, InstalledEnclave], install: Path, root: Path) -> dict[str, InstalledEnclave]:

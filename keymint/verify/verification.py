@@ -15,9 +15,9 @@ from comarmor.values import dataclass
 from keymint.api import InstalledEnclave, LoadedPolicy, PolicyDecision, Tier, Transport
 from keymint.api.graph import ConfusionMatrix, Edge, Graph, Object
 from keymint.api.plugin_loader import Plugins
-from keymint.executors import Pool
+from keymint.host.pool import Pool
 from keymint.verify.compare import Asking, TransportComparison
-from keymint.verify.copies import Copies, local_copies
+from keymint.verify.copies import Copies
 from keymint.verify.endpoint_policy import EdgeRows, EndpointPolicy, label
 from keymint.verify.mismatch import EdgeComparison
 from keymint.verify.scope import VerificationScope, common_objects, edges_of_graph, edges_of_policy, selected_rows
@@ -58,13 +58,12 @@ class VerificationPart:
 
     Attributes:
         scope: the scope of these subjects.
-        policy: the policy, at least about these subjects.
+        policy: the policy.
         graph: a graph with these subjects and the objects to ask about; None to ask about the objects of the policy.
         asking: how to ask.
         copies: the enclaves.
         common: objects of the policy that every subject is asked about, if there is no graph.
         transports: names of the models.
-        files: the files of the copies by relative path, for a machine that does not have them.
     """
 
     scope: VerificationScope
@@ -74,7 +73,6 @@ class VerificationPart:
     copies: Copies
     common: tuple[Object, ...] = ()
     transports: tuple[str, ...] = ()
-    files: Mapping[str, bytes] | None = None
 
     def rows(self) -> tuple[tuple[str, ...], EdgeRows]:
         """Return the subjects, and a function that yields all edges to ask about."""
@@ -113,16 +111,11 @@ class VerificationPart:
             comparisons.append(comparison.result())
         return Verification(scope.build_type, subjects, rows, labels, policy.decide, tuple(comparisons))
 
-    def about(self, subjects: Sequence[str], *, elsewhere: bool) -> VerificationPart:
-        """Return the part about some of the subjects, for this machine or for another one."""
+    def about(self, subjects: Sequence[str]) -> VerificationPart:
+        """Return the part about some of the subjects."""
         graph = self.graph and replace(self.graph, subjects=tuple(subjects))
         asking = replace(self.asking, on_subject=_unseen)
-        part = replace(self, scope=self.scope.about(subjects), graph=graph, asking=asking)
-        policy = self.policy.about(subjects) if elsewhere else None
-        if policy is None:
-            return part
-        copies = self.copies.about(subjects)
-        return replace(part, policy=policy, copies=copies, files=copies.public_files())
+        return replace(self, scope=self.scope.about(subjects), graph=graph, asking=asking)
 
 
 def verify_part(plugins: Plugins, part: VerificationPart) -> tuple[bytes, tuple[EdgeComparison, ...]]:
@@ -131,10 +124,8 @@ def verify_part(plugins: Plugins, part: VerificationPart) -> tuple[bytes, tuple[
     Raises:
         KeymintError: as of :meth:`VerificationPart.verified`.
     """
-    with local_copies(part.copies, part.files) as copies:
-        named = {name: plugins.transport(name) for name in part.transports}
-        verified = replace(part, copies=copies).verified(plugins, named)
-        return bytes(verified.labels), verified.comparisons
+    verified = part.verified(plugins, {name: plugins.transport(name) for name in part.transports})
+    return bytes(verified.labels), verified.comparisons
 
 
 def verified_in_parts(
@@ -158,14 +149,14 @@ def verified_in_parts(
     subjects, rows = whole.rows()
     objects = len(graph.objects) if graph else len(common)
     divided = pool.parts(subjects, -(-LEAST // max(1, objects * len(modelled))))
-    if len(divided) < 2 if pool.shares_memory else not modelled or policy.about(()) is None:  # noqa: PLR2004
+    if len(divided) < 2:  # noqa: PLR2004 - nothing to do at the same time
         return whole.verified(plugins, transports)
     others = {name: each for name, each in transports.items() if name not in modelled}
     compared = {each.transport: each for each in (whole.verified(plugins, others).comparisons if others else ())}
     labels = bytearray()
     comparisons: list[tuple[EdgeComparison, ...]] = []
-    tasks = (whole.about(each, elsewhere=not pool.shares_memory) for each in divided)
-    for each, (own_labels, of_models) in zip(divided, pool.map(verify_part, tasks), strict=True):
+    tasks = map(whole.about, divided)
+    for each, (own_labels, of_models) in zip(divided, pool.map(partial(verify_part, plugins), tasks), strict=True):
         labels += own_labels
         comparisons.append(of_models)
         for name in ("policy", *modelled):

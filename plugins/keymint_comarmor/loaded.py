@@ -6,7 +6,7 @@ Also their structure as it is written, for analyses of subjects that they do not
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -66,11 +66,6 @@ class ComArmorPolicy(LoadedPolicy):
         requested = edge.object
         row = self.policy.row(edge.subject, requested.kind, edge.permission)
         return _decision(row.ruling(requested.name, requested.partitions))
-
-    def about(self, subjects: Collection[str]) -> ComArmorPolicy:
-        """See :meth:`keymint.api.LoadedPolicy.about`."""
-        applicable = {id(profile) for subject in subjects for profile in self.policy.applicable(subject)}
-        return ComArmorPolicy(comarmor.Policy(tuple(each for each in self.policy.profiles if id(each) in applicable)))
 
     def allowed(self, subject: str, kind: str, permission: str, names: Iterable[str]) -> bytes:
         """See :meth:`keymint.api.LoadedPolicy.allowed`."""

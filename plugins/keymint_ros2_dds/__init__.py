@@ -18,9 +18,6 @@ class DdsProver(Prover):
     differences = lazy("keymint_ros2_dds.examine.enclave_rules:differences")
     prove = lazy("keymint_ros2_dds.enclave_proof:prove")
     terms = lazy("keymint_ros2_dds.enclave_proof:terms")
-    question = lazy("keymint_ros2_dds.enclave_proof:remote_question")
-    know = lazy("keymint_ros2_dds.enclave_proof:receive")
-    proving = lazy("keymint_ros2_dds.enclave_proof:part_prover")
 
 
 class SignedPermissions(Presentation):
@@ -90,9 +87,6 @@ class DdsSecurity(BuildType):
     installed_vendors = lazy("keymint_ros2_dds.vendors.advisories:installed_vendors")
     advisories = lazy("keymint_ros2_dds.vendors.advisories:advisories")
     distro_of = lazy("keymint_ros2_dds.transports.enclave_files:distro_of")
-    is_remote = lazy("keymint_ros2_dds.emit.emission:is_remote")
-    receive = lazy("keymint_ros2_dds.emit.emission:receive")
-    compiling = lazy("keymint_ros2_dds.emit.emission:part_compiler")
 
 
 build_type = DdsSecurity()

@@ -3,11 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-
 from comarmor.errors import Origin
-from keymint.api import Claim, ComparisonTask, EnclaveFiles, Proof, ProofTask, ValidityTerm
+from keymint.api import Claim, ComparisonTask, EnclaveFiles, ProofTask, ValidityTerm
 from keymint.errors import KeymintError
 from keymint.pki import smime
 from keymint.pki.examine import enclave_file
@@ -15,7 +12,7 @@ from keymint_ros2_dds.decision.semantics import OMG, shipped_models
 from keymint_ros2_dds.enclave_layout import CERTIFICATE, GOVERNANCE, PERMISSIONS, PERMISSIONS_ROLE
 from keymint_ros2_dds.examine.enclave_rules import differences
 from keymint_ros2_dds.proving import grant_periods
-from keymint_ros2_dds.proving.claims import prove_content, remember
+from keymint_ros2_dds.proving.claims import prove_content
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance
 from keymint_ros2_dds.transports.enclave_files import subject_name
 
@@ -51,41 +48,6 @@ def question(task: ProofTask) -> _Question:
     signed = _signed(task.enclave, GOVERNANCE, unsigned=task.unsigned)
     models = (OMG.name,) if task.standard_only else shipped_models(task.enclave.anchors.distro or package.distro)
     return held, EnclaveGovernance(*signed, package), models
-
-
-def remote_question(task: ProofTask) -> _Question:
-    """See :meth:`keymint.api.Prover.question`: signatures and keys are verified here, not where it is proven."""
-    held, governance, models = question(task)
-    return replace(held, go_on=_always), governance, models
-
-
-def _always() -> bool:
-    return True
-
-
-def part_prover() -> Callable[..., Sequence[Sequence[Claim]]]:
-    """See :meth:`keymint.api.Prover.proving`."""
-    return prove_part
-
-
-def prove_part(_plugins: object, asked: Sequence[_Question]) -> tuple[tuple[Claim, ...], ...]:
-    """Prove claims on a worker; none about a document that cannot be read, which is found again where the user is."""
-    return tuple(map(_proven_or_none, asked))
-
-
-def _proven_or_none(asked: _Question) -> tuple[Claim, ...]:
-    task, governance, models = asked
-    try:
-        return prove_content(task, models=models, governance=governance)
-    except KeymintError:
-        return ()
-
-
-def receive(asked: _Question, claims: tuple[Claim, ...]) -> None:
-    """Keep claims that are all proven; others are decided again here, with their places."""
-    if claims and all(claim.proof is Proof.PROVEN for claim in claims):
-        task, governance, models = asked
-        remember(task, claims, models, governance)
 
 
 def terms(enclave: EnclaveFiles) -> tuple[ValidityTerm, ...]:

@@ -100,7 +100,6 @@ _OPTIONS: Mapping[str, tuple[str, ...]] = {
     "unknown-option": ("--no-prov",),
     "spaces": ("--install-space", "elsewhere/i", "--private-space", "secret", "--build-space", "b", "--src-space", "s"),
     "hints": ("--hints", "policy.xml"),
-    "executor": ("--executor", "nowhere"),
     "accepted": ("--accept-package", "nav"),
 }
 

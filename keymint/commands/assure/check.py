@@ -19,7 +19,7 @@ from keymint.errors import KeymintError, usage_error
 from keymint.examine.check import check as find
 from keymint.examine.keystore import SHOWN_NOTES, not_examined, proven_keystore
 from keymint.examine.nodes import NODE_NOTES, of_packages
-from keymint.executors import Pool
+from keymint.host.pool import Pool
 from keymint.life.examine import RIGHTS_OUTLIVE
 from keymint.life.workspace_register import with_enclaves
 from keymint.names import subject_of
@@ -73,14 +73,13 @@ def check(
     """
     session = run.session(auditing=True)
     chosen = run.names(session, names)
-    with run.pool() as pool:
-        findings, state = list(find(session, chosen, within, pool)), session.state
-        if not no_prove:
-            known = {(each.code, each.where and each.where.file) for each in findings}
-            effort = ProofEffort(run.setting.monotonic, standard_only=allow_vendor_specific)
-            enclaves = with_enclaves(session, chosen, names)
-            state, found = _proven(session, enclaves, effort, pool, fresh=fresh, strict=strict)
-            findings += (each for each in found if (each.code, each.where and each.where.file) not in known)
+    findings, state = list(find(session, chosen, within, run.pool)), session.state
+    if not no_prove:
+        known = {(each.code, each.where and each.where.file) for each in findings}
+        effort = ProofEffort(run.setting.monotonic, standard_only=allow_vendor_specific)
+        enclaves = with_enclaves(session, chosen, names)
+        state, found = _proven(session, enclaves, effort, run.pool, fresh=fresh, strict=strict)
+        findings += (each for each in found if (each.code, each.where and each.where.file) not in known)
     unexamined = tuple(not_examined(session))
     findings += advisories(run, vendors)
     of_policy, state = _of_policy(session, state, chosen, complete=not names)

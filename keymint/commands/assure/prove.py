@@ -33,7 +33,7 @@ SHOWN = 5
 """Number of unprotected topics in the summary; ``--json`` lists all of them."""
 
 
-@verb(dry_run=True, executor=True)
+@verb(dry_run=True, processes=True)
 def prove(
     run: Run,
     names: tuple[str, ...] = argument(nargs=-1, metavar="[ENCLAVE]...", shell_complete=complete_package),
@@ -66,15 +66,15 @@ def prove(
         policy = lazy_policy(session)  # loaded only if something is to be proven
     except KeymintError as error:
         return _without_policy(run, session, chosen, error)
-    with run.console.progress(len(chosen), run.setting.monotonic) as advance, run.pool() as pool:
+    with run.console.progress(len(chosen), run.setting.monotonic) as advance:
         effort = ProofEffort(run.setting.monotonic, states, seconds, standard_only=allow_vendor_specific)
         results = keystore.proven_keystore(
             session, chosen, policy, effort,
-            lambda name: advance(Step(STAGE, name, Action.UNCHANGED)), pool,
+            lambda name: advance(Step(STAGE, name, Action.UNCHANGED)), run.pool,
         )  # fmt: skip
     unknown = () if names else (*orphan_findings(session), *subjects_without_package(session, policy, chosen))
-    # What a cluster says, or what holds for another distribution, is a result to show: no later run may rely on it.
-    unrecorded = run.keep(session, results.state) if pool.trusted and not session.vendors_of else ()
+    # What holds for another distribution is a result to show: no later run may rely on it.
+    unrecorded = () if session.vendors_of else run.keep(session, results.state)
 
     unexamined, with_register = tuple(keystore.not_examined(session)), has_register(session)
     _summary(run, results, with_register=with_register)

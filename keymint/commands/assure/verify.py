@@ -52,7 +52,7 @@ Edges that a rule denies are all drawn."""
 _UNSAFE = lazy_regex(r"[^A-Za-z0-9._-]+")
 
 
-@verb(executor=True)
+@verb(processes=True)
 def verify(
     run: Run,
     names: tuple[str, ...] = packages_argument,
@@ -117,9 +117,8 @@ def verify(
             asking = Asking(
                 Tier(tier), limit, lambda name, subject: advance(Step(name, subject, Action.UNCHANGED)), tally
             )
-            with run.pool() as pool:
-                parts = {name: VerificationPart(each, policy, system, asking, copies) for name, each in scopes.items()}
-                verified = [verified_in_parts(pool, run.plugins, parts[name], group) for name, group in groups.items()]
+            parts = {name: VerificationPart(each, policy, system, asking, copies) for name, each in scopes.items()}
+            verified = [verified_in_parts(run.pool, run.plugins, parts[name], group) for name, group in groups.items()]
         subjects = tuple(sorted({subject for each in verified for subject in each.subjects}))
         outcomes = [outcome for each in verified for outcome in each.comparisons]
         edges = sum(len(each.labels) for each in verified)

@@ -25,7 +25,7 @@ from keymint.workspace.policy_loading import load_policy
 from keymint.workspace.session import Session
 
 
-@verb(jobs=True, dry_run=True, executor=True)
+@verb(jobs=True, dry_run=True)
 def build(
     run: Run,
     names: tuple[str, ...] = packages_argument,

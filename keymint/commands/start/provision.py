@@ -29,7 +29,7 @@ from keymint.workspace.session import Inputs
 from keymint.workspace.shipped_profiles import plan_release
 
 
-@verb(jobs=True, dry_run=True, executor=True)
+@verb(jobs=True, dry_run=True)
 def provision(
     run: Run,
     policy: Path = argument(type=PATH),

@@ -14,7 +14,7 @@ from keymint import __version__, api
 from keymint.authority.authority_files import chains_digest
 from keymint.authority.examine import contradictions_for
 from keymint.errors import KeymintError
-from keymint.executors import Pool
+from keymint.host.pool import Pool
 from keymint.ir import SubjectRules
 from keymint.life import terms
 from keymint.names import name_of, subject_of
@@ -57,7 +57,7 @@ def proofs(
         effort: what to claim, and limits of the search.
         names: names of packages.
         on_enclave: called with each name after its proof.
-        pool: where else to prove.
+        pool: the processes to prove in.
 
     Raises:
         KeymintError: a package has defects, or the pool is lost.
@@ -66,11 +66,9 @@ def proofs(
     proven: list[EnclaveProof] = []
     parts: Iterable[Sequence[str]] = ([name] for name in names)
     results: Iterable[list[EnclaveProof]] = ([stage.package(name)] for name in names)
-    if not pool.shares_memory:
-        stage.ask(pool, names)
-    elif len(divided := pool.parts(names, LEAST)) > 1:
+    if len(divided := pool.parts(names, LEAST)) > 1:
         parts = divided
-        results = pool.map(lambda _plugins, part: [stage.package(name) for name in part], parts)
+        results = pool.map(lambda part: [stage.package(name) for name in part], parts)
     for part, own in zip(parts, results, strict=True):
         proven += own
         for name in part:
@@ -101,8 +99,6 @@ class ProofStage(PackageStage):
         self._chains_digest = chains_digest(session)
         workspace = session.workspace
         self._shared_folder = workspace.shown(workspace.build / SHARED if unsigned else workspace.install)
-        self._asked: list[tuple[api.Prover, object]] | None = None
-        """What other machines are to prove; None while it is proven here."""
 
     def results(self, proven: Sequence[EnclaveProof]) -> ProofResults:
         """Put the proofs of some packages together, and add the claims across subjects."""
@@ -125,20 +121,6 @@ class ProofStage(PackageStage):
                 evidence |= build_type.models()
         known = frozenset(standards), evidence
         return ProofResults(tuple(proven), across, state, assumptions, *known, self._session.now)
-
-    def ask(self, pool: Pool, names: Sequence[str]) -> None:
-        """Let other machines prove claims that are not cached; those that they do not prove are decided here."""
-        if self._effort.standard_only:
-            return
-        self._asked = []
-        for name in names:
-            self.package(name)
-        asked, self._asked = self._asked, None
-        for prover in dict.fromkeys(prover for prover, _ in asked):
-            parts = pool.parts([question for by, question in asked if by is prover], 1)
-            for part, answers in zip(parts, pool.map(prover.proving(), parts), strict=True):
-                for question, claims in zip(part, answers, strict=False):
-                    prover.know(question, claims)
 
     def package(self, name: str) -> EnclaveProof:
         """Prove the claims about one enclave, unless the proof is cached."""
@@ -278,12 +260,8 @@ class ProofStage(PackageStage):
             KeymintError: the enclave cannot be read, or the anchors do not vouch for it.
         """
         if task.package.role is api.Role.SUBJECT:
-            if self._asked is None:
-                with self._effort.limit(task.rules.rules):
-                    return prover.prove(task)
-            if (question := prover.question(task)) is not None:
-                self._asked.append((prover, question))
-            return ()
+            with self._effort.limit(task.rules.rules):
+                return prover.prove(task)
         if found := prover.differences(task.enclave):
             raise KeymintError.of(found)
         return ()

@@ -3,15 +3,9 @@
 
 Every compiled form is rendered and compared with the rules over all names, so rewriting may be bold. If a form is
 refuted or not decided, the plain form is emitted.
-
-Another machine may compile the rules. They count only after they are proven here, unless the user trusts it. A worker
-sends rules, not documents: what no proof covers, the head of the document, is written from the sources here. Rules
-about relaying are not covered either, so subjects that have some are compiled here.
 """
 
 from __future__ import annotations
-
-from collections.abc import Callable, Sequence
 
 from comarmor.errors import Diagnostic
 from comarmor.patterns.steps import step_limit
@@ -23,10 +17,8 @@ from keymint_ros2_dds.decision.semantics import OMG, VARIATIONS, shipped_models
 from keymint_ros2_dds.documents import dds_xml, permissions_document
 from keymint_ros2_dds.enclave_layout import PERMISSIONS, PERMISSIONS_XML
 from keymint_ros2_dds.lowering.lowered_rules import GrantRule, Lowered
-from keymint_ros2_dds.lowering.name_mapping import TopicAction
-from keymint_ros2_dds.proving.claims import prove_content, remember
+from keymint_ros2_dds.proving.claims import prove_content
 from keymint_ros2_dds.subject_names import subject_name_of
-from keymint_ros2_dds.vendor_limits import TIGHT, signed_size
 
 STATES = 50_000
 """States that a proof may visit, so that a build always ends."""
@@ -143,63 +135,3 @@ def _unproven(package: Package, code: str, what: str, claim: Claim, help_: str) 
         reason = f"{claim.model} {verb} it to {claim.action} {example.endpoint.name!r}"
     message = f"{what} not proven to mean what the rules mean: {reason}"
     return Diagnostic.warning(code, message, package.grant.origin, help_, package.subject)
-
-
-Compilation = tuple[tuple[GrantRule[str], ...], int, tuple[Claim, ...]]
-"""What the engine made of a package: the rules of its document, the bytes of its plain form, and what is proven."""
-
-_received: dict[str, tuple[Package, BuildOptions, Compilation, bool]] = {}
-"""By subject: what other machines compiled, and whether the user trusts them."""
-
-
-def part_compiler() -> Callable[..., Sequence[Compilation | None]]:
-    """See :meth:`keymint.api.BuildType.compiling`."""
-    return compile_part
-
-
-def compile_part(_plugins: object, packages: Sequence[tuple[Package, BuildOptions]]) -> tuple[Compilation | None, ...]:
-    """Compile packages on a worker; None for one about which there is more to say than its document."""
-    return tuple(_compiled(package, options) for package, options in packages)
-
-
-def _compiled(package: Package, options: BuildOptions) -> Compilation | None:
-    try:
-        emitted = emit(package, options)
-    except KeymintError:
-        return None  # the error is found again where the user is
-    if not emitted.is_usual(package.grant):
-        return None
-    return emitted.rules, emitted.plain_size, emitted.claims
-
-
-def receive(package: Package, options: BuildOptions, compilation: object, *, trusted: bool) -> None:
-    """Keep what a worker compiled for the build of the package."""
-    if isinstance(compilation, tuple):
-        _received[package.subject] = package, options, compilation, trusted
-
-
-def emit_received(package: Package, options: BuildOptions) -> Emitted | None:
-    """Return the document of a package that another machine compiled; None if there is none, or it is not proven."""
-    known = _received.pop(package.subject, None)
-    if known is None or (known[0].grant, known[0].distro, known[1]) != (package.grant, package.distro, options):
-        return None
-    _, _, (rules, plain_size, claimed), trusted = known
-    if any(TopicAction.RELAY in rule.topics for rule in rules) or not is_remote(package):
-        return None
-    try:
-        document = permissions_document.render(package.grant, rules)
-        dds_xml.require_valid(document, PERMISSIONS, PERMISSIONS_XML)
-        task = comparison(package, document)
-        claims = claimed if trusted else prove_content(task)
-    except KeymintError:
-        return None
-    if not claims or any(claim.proof is not Proof.PROVEN for claim in claims) or signed_size(document) > TIGHT:
-        return None
-    if trusted:
-        remember(task, claims)
-    return Emitted(document, rules, plain_size, None, claims, tuple(vendor_notes(rules, package.grant)))
-
-
-def is_remote(package: Package) -> bool:
-    """Tell whether another machine may compile a package: it has no rules about relaying, which no proof covers."""
-    return not any("relay" in permission for rule in package.grant.rules.rules for permission in rule.permissions)

@@ -29,7 +29,7 @@ from keymint_ros2_dds.compiling.grant_compiler import vendor_notes
 from keymint_ros2_dds.compiling.rewriting import gathered_rules
 from keymint_ros2_dds.decision.semantics import VARIATIONS
 from keymint_ros2_dds.documents import dds_xml, permissions_document
-from keymint_ros2_dds.emit.emission import Emitted, comparison, emit, emit_received
+from keymint_ros2_dds.emit.emission import Emitted, comparison, emit
 from keymint_ros2_dds.enclave_layout import PERMISSIONS
 from keymint_ros2_dds.lowering.lowered_rules import GrantRule, is_name
 from keymint_ros2_dds.lowering.name_mapping import ARDENT, dds_patterns, needed_topics
@@ -278,8 +278,6 @@ def emit_by_kind(package: Package, options: BuildOptions) -> Emitted:
     Raises:
         KeymintError: see :func:`keymint_ros2_dds.emit.emission.emit`.
     """
-    if (received := emit_received(package, options)) is not None:
-        return received
     if options != BuildOptions():
         return emit(package, options)
     kind, arguments = package.grant.rules.kind

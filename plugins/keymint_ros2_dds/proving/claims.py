@@ -262,24 +262,15 @@ def prove_content(
     return claims
 
 
-def remember(
-    task: ComparisonTask,
-    claims: tuple[Claim, ...],
-    models: tuple[str, ...] | None = None,
-    governance: EnclaveGovernance | None = None,
-) -> None:
-    """Remember what is proven about a document.
+def remember(task: ComparisonTask, claims: tuple[Claim, ...]) -> None:
+    """Remember what is proven about a document by the models that its distribution ships, under full access control.
 
     Args:
         task: the document, and what it must permit.
         claims: what is proven.
-        models: by which models; None: those that its distribution ships.
-        governance: the governance beside it; None: all is under access control.
     """
-    digest = b"" if governance is None or governance.transparent(task.domains) else governance.key
-    names = shipped_models(task.distro) if models is None else models
     if len(_proven) < MOST:
-        _proven[_key(task, names, digest)] = claims
+        _proven[_key(task, shipped_models(task.distro), b"")] = claims
 
 
 def _key(task: ComparisonTask, models: tuple[str, ...], governance: bytes) -> _Key:

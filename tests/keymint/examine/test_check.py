@@ -14,7 +14,7 @@ from keymint_ros import permissions
 from keymint_ros2_dds import DdsSecurity
 
 from keymint.examine import check
-from keymint.executors.pool import Pool, divide
+from keymint.host.pool import Pool, divide
 from tests.conftest import NOW, snapshot
 
 DAY = 86_400

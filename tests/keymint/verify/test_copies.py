@@ -15,7 +15,7 @@ from keymint import api
 from keymint.api import Availability, InstalledEnclave, Tier, Verdict
 from keymint.api.graph import Edge, Object
 from keymint.errors import ExitCode, KeymintError
-from keymint.verify.copies import enclave_copies, local_copies
+from keymint.verify.copies import enclave_copies
 from keymint.view.tree import Tree
 
 EDGE = Edge("/a/b", "ros_publish", Object("ros_topic", "/x"))
@@ -112,28 +112,13 @@ def test_shared_files_and_the_infrastructure_are_copied_and_other_enclaves_are_n
         assert not list(copies.root.rglob("key.pem"))
 
 
-@pytest.mark.parametrize("elsewhere", [True, False])
-def test_an_error_names_the_originals(tmp_path: Path, enclaves: dict[str, InstalledEnclave], elsewhere: bool) -> None:
+def test_an_error_names_the_originals(tmp_path: Path, enclaves: dict[str, InstalledEnclave]) -> None:
     transport = Transport(fails=True)
     folder = enclaves["/a/b"].folder
-    with pytest.raises(KeymintError) as caught:  # noqa: SIM117, PT012 - the error leaves the copies
+    with pytest.raises(KeymintError) as caught:  # noqa: SIM117 - the error leaves the copies
         with enclave_copies(Tree(), tmp_path / "install", enclaves, [transport]) as copies:
-            with local_copies(copies, copies.public_files() if elsewhere else None) as here:
-                assert (here.root != copies.root) is elsewhere
-                list(transport.label(list(here.enclaves.values()), [EDGE], Tier.DECISION))
+            list(transport.label(list(copies.enclaves.values()), [EDGE], Tier.DECISION))
     (diagnostic,) = caught.value.diagnostics
     assert str(diagnostic) == f"{folder}/cert.pem:3: no {folder} ({folder})"
     assert (diagnostic.code, caught.value.exit_code) == ("x", ExitCode.FINDINGS)
     assert not copies.root.exists()
-
-
-@pytest.mark.parametrize("content", [b"\x30\x82\x01\x22DER", b"-----BEGIN PRIVATE KEY-----"], ids=["DER", "PEM"])
-def test_no_private_key_is_a_public_file_whatever_its_encoding(
-    tmp_path: Path, enclaves: dict[str, InstalledEnclave], content: bytes
-) -> None:
-    for name in ("key.pem", "authority_key.pem"):
-        (enclaves["/a/b"].folder / name).write_bytes(content)
-    real = Transport((Tier.DECISION, Tier.EXCHANGE))
-    with enclave_copies(Tree(), tmp_path / "install", enclaves, [real]) as copies:
-        public = copies.public_files()
-    assert {path.rpartition("/")[2] for path in public} == {"permissions.p7s", "ca.pem"}

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import pickle
 from pathlib import Path
 
 import pytest
@@ -53,9 +52,3 @@ def test_subjects_profiles_and_rules(policy: ComArmorPolicy) -> None:
     assert policy.rules("/c") is None
     assert policy.rules_digest("/c") is None
     assert policy.rules_digest("/r/a") != policy.rules_digest("/r/b")
-
-
-def test_a_part_of_it_can_be_sent_and_answers_alike(policy: ComArmorPolicy) -> None:
-    part = pickle.loads(pickle.dumps(policy.about(["/r/a"])))
-    assert decided(part, "/r/a") == decided(policy, "/r/a")
-    assert part.rules("/b") is None

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Callable
 from pathlib import Path
 
@@ -52,12 +51,6 @@ def test_what_it_is_made_of(robot: Path) -> None:
     assert any(clause.included for clause in structure.clauses)
     names = ["/robot/x", "/y"]
     assert loaded.allowed("/robot/listener", "ros_topic", "ros_subscribe", names) == bytes([1, 0])
-
-
-def test_a_part_of_it_can_be_sent(robot: Path) -> None:
-    part = pickle.loads(pickle.dumps(load(robot).about(["/robot/listener", "/none"])))
-    assert part.subjects() == ("/robot/listener",)
-    assert asked(part, "ros_subscribe", "/robot/a")
 
 
 def test_what_sros2_enforces_otherwise_is_refused(write) -> None:

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Processes that carry out parts of the work."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from keymint.host.pool import Pool, divide
+from tests.conftest import CHECKOUT
+
+
+@given(st.lists(st.integers(), max_size=50), st.integers(1, 20))
+def test_parts_together_are_all_items_in_order(items: list[int], number: int) -> None:
+    parts = divide(items, number)
+    assert [item for part in parts for item in part] == items
+    assert len(parts) == number
+    assert max(map(len, parts)) - min(map(len, parts)) <= 1
+
+
+@pytest.mark.parametrize(
+    ("size", "items", "least", "parts"), [(1, 100, 1, 1), (2, 100, 1, 8), (2, 100, 40, 2), (4, 3, 9, 1)]
+)
+def test_little_work_stays_in_one_part(size: int, items: int, least: int, parts: int) -> None:
+    assert len(Pool(size).parts(range(items), least)) == parts
+
+
+def run(code: str) -> subprocess.CompletedProcess[str]:
+    """Run code in a process that may fork."""
+    begin = "import os\nfrom keymint.host.pool import Pool\n"
+    begin += "from keymint.errors import KeymintError\npool = Pool(2)\n"
+    return subprocess.run(
+        [sys.executable, "-c", begin + code], cwd=CHECKOUT, capture_output=True, text=True, check=False
+    )
+
+
+def test_results_come_in_the_order_of_the_tasks_from_other_processes() -> None:
+    done = run("""
+import time
+def work(task):
+    time.sleep(0.2 if task == 0 else 0)
+    return task, os.getpid()
+results = list(pool.map(work, range(6)))
+assert [task for task, _ in results] == [0, 1, 2, 3, 4, 5]
+assert os.getpid() not in {process for _, process in results}
+""")
+    assert done.returncode == 0, done.stderr
+
+
+def test_one_task_is_done_in_this_process() -> None:
+    done = run("assert list(pool.map(lambda task: os.getpid(), [0])) == [os.getpid()]")
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_process_that_is_killed_ends_the_work_with_one_error() -> None:
+    done = run("""
+def work(task):
+    os.kill(os.getpid(), 9)
+try:
+    list(pool.map(work, range(6)))
+except KeymintError as error:
+    print(error.diagnostics[0].code)
+""")
+    assert done.stdout == "executor-lost\n", done.stderr
+
+
+def test_an_error_of_the_work_is_raised_as_it_is() -> None:
+    done = run("""
+from comarmor.errors import ExitCode, Origin
+def work(task):
+    where, code = Origin("policy.xml", 7), ExitCode.FINDINGS
+    raise KeymintError(f"wrong {task}", where=where, help="mend it", code="a-code", exit_code=code)
+try:
+    list(pool.map(work, range(6)))
+except KeymintError as error:
+    print(error, error.exit_code.name, error.diagnostics[0].code)
+""")
+    assert done.stdout == "policy.xml:7: wrong 0 (mend it) FINDINGS a-code\n", done.stderr
