@@ -232,9 +232,9 @@ def issue(
     """
     issuer, signing_key = (signer.certificate, signer.key) if isinstance(signer, Issuer) else (None, signer)
     kind = _kind(spec, signer, authority=authority)
-    if kind in _TEMPLATES:
+    if template := _TEMPLATES.get(kind):
         subject = distinguished_names.parse(spec.subject_name, spec.origin)
-        pem = _PEM % der.base64_lines(certificate_forms.fill(*_TEMPLATES[kind], subject, public_key, signing_key))
+        pem = _PEM % der.base64_lines(certificate_forms.fill(*template, subject, public_key, signing_key))
         return Issued(load(pem), pem)
     form = certificate_forms.form(spec, public_key, issuer, authority=authority)
     certificate = form.signed(spec.serial, public_key, signing_key)

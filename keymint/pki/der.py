@@ -86,11 +86,10 @@ def single(data: bytes, tag: int) -> bytes:
 
 def _header(data: bytes, position: int) -> tuple[int, int, int]:
     """Return the tag at a position, and where its content begins and ends."""
-    header = data[position : position + 2]
-    if len(header) != 2 or header[0] & _LONG_TAG == _LONG_TAG:  # noqa: PLR2004 - tag and length
-        raise ValueError("no tag and length")
-    tag, size = header
     start = position + 2
+    if start > len(data) or data[position] & _LONG_TAG == _LONG_TAG:
+        raise ValueError("no tag and length")
+    size = data[position + 1]
     if size >= _LONG_LENGTH:
         count = size - _LONG_LENGTH
         octets = data[start : start + count]
@@ -100,4 +99,4 @@ def _header(data: bytes, position: int) -> tuple[int, int, int]:
         start += count
     if start + size > len(data):
         raise ValueError("a truncated element")
-    return tag, start, start + size
+    return data[position], start, start + size

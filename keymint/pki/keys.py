@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import base64
 import binascii
+import functools
 import hashlib
 import re
 from collections.abc import Callable, Iterator, Mapping
@@ -177,7 +178,12 @@ def public_of(pem: bytes, password: bytes | None = None, where: Origin | None = 
     """
     if is_encrypted(pem):
         return from_pem(pem, password, where).public_key()
-    return cast("PublicKey", serialization.load_der_public_key(_known(pem, where)[0]))
+    return _from_der(_known(pem, where)[0])
+
+
+@functools.lru_cache(maxsize=1 << 12)
+def _from_der(encoded: bytes) -> PublicKey:
+    return cast("PublicKey", serialization.load_der_public_key(encoded))
 
 
 def _known(pem: bytes, where: Origin | None = None) -> tuple[bytes, bool]:
@@ -203,6 +209,11 @@ def matches(key: PrivateKey | PublicKey, certificate: x509.Certificate) -> bool:
 def fingerprint(key: PrivateKey | PublicKey) -> str:
     """Return the SHA-256, in hex, of the public key of a pair (SubjectPublicKeyInfo in DER; RFC 5280, 4.1.2.7)."""
     return hashlib.sha256(public_der(key if isinstance(key, PublicKey) else key.public_key())).hexdigest()
+
+
+def fingerprint_of_file(pem: bytes) -> str:
+    """Return the fingerprint of the key in the PEM file of an unencrypted private key; errors as :func:`from_pem`."""
+    return hashlib.sha256(_known(pem)[0]).hexdigest()
 
 
 def public_der(key: PublicKey) -> bytes:

@@ -135,8 +135,8 @@ def restore_or_mint(session: Session, package: Package, *, renew: bool) -> tuple
     path = session.workspace.identity_key(package.name)
     known = "" if renew else known_fingerprint(session, package.name)
     if not known:
-        key = keys.generate(package.identity.key, package.identity.origin)
-        return secret_file(path, keys.to_pem(key)), keys.fingerprint(key)
+        minted = keys.to_pem(keys.generate(package.identity.key, package.identity.origin))
+        return secret_file(path, minted), keys.fingerprint_of_file(minted)
     pem = session.tree.try_read(session.enclave(package.name) / KEY) or b""
     try:
         there = keys.fingerprint(keys.from_pem(pem)) if pem else ""
