@@ -171,15 +171,15 @@ def settings(sources: api.PackageSources) -> api.PackageSettings:
 
 
 def _governance(sources: api.PackageSources, part: api.SourcePart) -> DdsSettings:
-    own = () if part.content is None else _read_own_rules(part.content, part.file)
+    own = None if part.content is None else _read(part.content, part.file)
     if part.defaults is None:
         message = f"there is no file {quote(part.defaults_file, 200)} in the package or its profile"
         raise KeymintError(message, where=part.where, help="create it, or correct the path", code="file-missing")
-    base, general, defaults_issuer = _base(part.defaults, part.defaults_file)
+    base, _, defaults_issuer = _base(part.defaults, part.defaults_file)
     usual = defaults_issuer or (sources.grant.issuer if sources.grant else "")
     issuer = signer(part.issuer, part.where, usual, base.origin, sources.authorities)
-    rules = tuple(_domain_rule(element, part.file, base, general) for element in own) or (base,)
-    return DdsSettings(issuer, rules, OPEN_GOVERNANCE in sources.accepts, KEY_URIS in sources.accepts)
+    rules = tuple(_in_file(each, part.file) for each in _domain_rules(own, part.defaults, part.defaults_file))
+    return DdsSettings(issuer, rules or (base,), OPEN_GOVERNANCE in sources.accepts, KEY_URIS in sources.accepts)
 
 
 def _settings(element: etree._Element, known: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -202,12 +202,8 @@ def _checked(root: etree._Element) -> etree._Element:
     return root
 
 
-def _own_rules(root: etree._Element) -> tuple[etree._Element, ...]:
-    return tuple(_checked(root).iterfind("domain_access_rules/domain_rule"))
-
-
-_read_own_rules = Reader("keymint_ros2_dds", "source_governance", _own_rules)
-"""Reads the domain rules in the governance of a package."""
+_read = Reader("keymint_ros2_dds", "source_governance", _checked)
+"""Reads the governance of a package."""
 _read_defaults = Reader("keymint_ros2_dds", "source_governance_defaults", _checked)
 """Reads the defaults of a domain rule."""
 
@@ -235,25 +231,45 @@ def _base(content: bytes, file: str) -> tuple[DomainRule, Mapping[str, Any], str
     return replace(rule, topic_rules=rules), general, text(root.find("issuer_name")) or ""
 
 
-def _domain_rule(element: etree._Element, file: str, base: DomainRule, general: Mapping[str, Any]) -> DomainRule:
-    """Return the domain rule that a package and its defaults describe together.
+@lru_cache(maxsize=64)
+def _domain_rules(own: etree._Element | None, defaults: bytes, file: str) -> tuple[DomainRule, ...]:
+    """Return the domain rules of packages with the same documents, without the names of their own.
+
+    Args:
+        own: the document of the packages; None if they have none.
+        defaults: the defaults of these rules.
+        file: the document of the defaults, for origins.
+    """
+    base, general, _ = _base(defaults, file)
+    elements = () if own is None else own.iterfind("domain_access_rules/domain_rule")
+    return tuple(_domain_rule(element, base, general) for element in elements)
+
+
+def _in_file(rule: DomainRule, file: str) -> DomainRule:
+    """Return a domain rule of a document, which was read without a look at its path."""
+    own = [replace(each, origin=Origin(file, each.origin.line)) for each in rule.topic_rules if not each.origin.file]
+    topics = (*own, *rule.topic_rules[len(own) :]) if own else rule.topic_rules
+    return replace(rule, topic_rules=topics, origin=Origin(file, rule.origin.line))
+
+
+def _domain_rule(element: etree._Element, base: DomainRule, general: Mapping[str, Any]) -> DomainRule:
+    """Return the domain rule that a package and its defaults describe together; its own places have no file.
 
     A domain rule's own topic rules come before those of the defaults, since the first one that matches a topic decides.
     A topic rule takes the settings that it leaves out from the defaults' rule for every topic.
 
     Args:
         element: the package's ``<domain_rule>``.
-        file: the package's document, for origins.
         base: the domain rule of the defaults.
         general: settings of the defaults for every topic.
     """
     own_domains = domains(element.find("domains"))
-    own_topics = (_topic_protection(each, general, file) for each in element.iterfind("topic_access_rules/*"))
+    own_topics = (_topic_protection(each, general, "") for each in element.iterfind("topic_access_rules/*"))
     return replace(
         base,
         domains=own_domains or base.domains,
         topic_rules=(*own_topics, *base.topic_rules),
-        origin=Origin(file, line(element)),
+        origin=Origin("", line(element)),
         domains_origin=None if own_domains else base.origin,
         **_settings(element, STRICT_DOMAIN),
     )

@@ -200,8 +200,6 @@ MOST = 1_000
 """Kinds that are remembered."""
 MOST_EXEMPLARS = 100
 """Members of a kind that are remembered."""
-SMALL = dds_xml.INDENTED // 3
-"""Bytes of documents that are indented in any case: no line of one doubles its length by that."""
 FEW_STEPS = 5_000
 """Steps of the engine for a member that is renamed: a tenth of any limit, so that none decides about a document."""
 
@@ -340,7 +338,8 @@ def _by_renaming(package: Package, arguments: Arguments, members: _Members) -> E
     size, plain_size = made.sizes
     plain_size += len(document) - size
     plain_size += sum(times * (len(names[text]) - len(text)) for text, times in more_often.items())
-    if max(len(document), plain_size, *made.sizes) > SMALL:  # perhaps some are indented, and some are not
+    # Some are perhaps not indented; a third of the limit all are, as no line grows to three times its length by that.
+    if max(len(document), plain_size, *made.sizes) > dds_xml.INDENTED // 3:
         plain_size = len(permissions_document.render(grant, with_renamed_topics(made.plain, names)))
     return Emitted(document, rules, plain_size, None, made.claims, notes)
 

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from keymint_ros2_dds.settings import settings_of
 
@@ -51,6 +53,26 @@ def test_a_governance_overrides_its_defaults_and_keeps_their_last_rule(workspace
     assert (raw.enable_read_access_control, raw.enable_write_access_control) == (False, True)
     assert str(rest.origin).startswith("/ws/profile/package.defaults/governance.xml:")
     assert second.domains == (DomainRange(1, 4),)
+
+
+def test_packages_with_the_same_documents_have_places_of_their_own(workspace: Workspace) -> None:
+    """They are read once, without a look at their paths."""
+    own = "<domain_rule>\n<topic_access_rules>\n<topic_rule><topic_expression>a</topic_expression></topic_rule>"
+    edited = workspace.edit("governance.xml", "<domain_rule/>", f"{own}</topic_access_rules></domain_rule>")
+    defaults = {path: content for path, content in edited.profile.items() if path.startswith("package.defaults/")}
+    for name in ("robot1/talker", "robot2/talker"):
+        package = replace(edited, name=name, package={**edited.package, **defaults}).load()
+        (rule,) = settings_of(package).domain_rules
+        assert rule.domains_origin is not None
+        first, *others = rule.topic_rules
+        folder = f"src/{name}"
+        assert {rule.origin.file, first.origin.file} == {f"{folder}/governance.xml"}
+        assert first.origin.line == rule.origin.line + 2
+        of_defaults = [each.origin for each in others] + [rule.domains_origin]
+        assert {each.file for each in of_defaults} == {f"{folder}/package.defaults/governance.xml"}
+        assert package.identity.origin.file == f"{folder}/package.defaults/identities.xml"
+        assert package.identity.validity.origin.file == f"{folder}/package.defaults/identities.xml"
+        assert package.grant.defaults_origin.file == f"{folder}/package.defaults/permissions.xml"
 
 
 @pytest.mark.parametrize(

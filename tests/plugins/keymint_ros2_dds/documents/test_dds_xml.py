@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds import build_type
 from keymint_ros2_dds.documents import dds_xml
+from keymint_ros2_dds.emit import kind_members
 from lxml import etree
 
 from comarmor.data import locate
@@ -50,7 +51,7 @@ def test_only_a_document_beyond_the_limit_loses_its_blanks_and_nothing_else(name
 @given(NAMES, st.integers(500, 12_000))
 def test_the_size_of_the_plain_form_is_what_it_would_have(names: list[str], limit: int) -> None:
     rules = [rule("ALLOW", "ros_topic", "ros_publish ros_subscribe", name) for name in names]
-    with mock.patch.object(dds_xml, "INDENTED", limit):
+    with mock.patch.object(dds_xml, "INDENTED", limit), mock.patch.object(kind_members, "_known", {}):
         small = build_type.build(package(*rules), BuildOptions())
         plain = build_type.build(package(*rules), BuildOptions(optimise=False))
     assert small.plain_sizes == {"permissions.xml": len(plain.documents["permissions.xml"])}

@@ -16,7 +16,7 @@ import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds import build_type
-from keymint_ros2_dds.documents import permissions_document
+from keymint_ros2_dds.documents import dds_xml, permissions_document
 from keymint_ros2_dds.emit import emission, kind_members
 from keymint_ros2_dds.emit.kind_members import Structure
 from keymint_ros2_dds.proving.claims import prove_content
@@ -427,8 +427,8 @@ class TestConditions:
             assert asked == 1
             assert built == [by_engine(each) for each in loaded]
             sizes |= {(*each.plain_sizes.values(), len(each.documents["permissions.xml"])) for each in built}
-        assert all(plain > size for plain, size in sizes if plain <= kind_members.SMALL)
-        assert {max(each) > kind_members.SMALL for each in sizes} == {True, False}
+        assert all(plain > size for plain, size in sizes if plain <= dds_xml.INDENTED // 3)
+        assert {max(each) > dds_xml.INDENTED // 3 for each in sizes} == {True, False}
 
     def test_a_name_that_is_also_an_alternative_for_a_set(self) -> None:
         """``[12]`` is written as two texts. In the first subject one of them is its name, too; nobody can tell."""
