@@ -127,8 +127,9 @@ def staged_session(session: Session, name: str) -> Session:
     ahead = session.after(plan_switch(session, name)).session()
     ahead = replace(ahead, workspace=replace(workspace, install=workspace.next_install))
     present = session.tree.read(workspace.revocation_list(f"{name}.{NEXT}"))
+    path = workspace.revocation_list(name)
     own = None if present is None else File(present)
-    return replace(ahead, tree=ahead.tree.overlaid([(workspace.revocation_list(name), own)]))
+    return replace(ahead, tree=ahead.tree.overlaid([(path.parent, {path.name: own})]))
 
 
 def plan_end(session: Session, name: str) -> Plan:

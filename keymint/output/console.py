@@ -191,9 +191,9 @@ class Console:
             if self._verbosity > 0 and report.workspace:
                 for change in step.changes:
                     for file in change.written:
-                        self.line(f"            {report.workspace.shown(change.folder / file)}")
+                        self.line(f"            {report.workspace.shown(f'{change.folder}/{file}')}")
                     for file in change.removed:
-                        self.line(f"            {report.workspace.shown(change.folder / file)} (removed)")
+                        self.line(f"            {report.workspace.shown(f'{change.folder}/{file}')} (removed)")
         if report.steps:
             if not any(step.writes() for step in report.steps):
                 packages = {each.package for each in report.steps if each.package and each.stage != "authorities"}

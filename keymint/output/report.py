@@ -98,8 +98,8 @@ def report_json(report: Report) -> dict[str, Any]:
 
 
 def _step(step: Step, workspace: Workspace | None) -> dict[str, Any]:
-    def typed(folder: Path, name: str) -> str:
-        return workspace.shown(folder / name) if workspace else str(folder / name)
+    def typed(folder: Path | str, name: str) -> str:
+        return workspace.shown(f"{folder}/{name}") if workspace else f"{folder}/{name}"
 
     return {
         "stage": step.stage,

@@ -40,7 +40,7 @@ from keymint.store.journal import Journal
 from keymint.store.staged import Exchange
 from keymint.store.store import Store, clock
 from keymint.view.recorded_answers import Answer, Call, Sight, is_recordable, name_of, record
-from keymint.view.stamps import digest
+from keymint.view.stamps import compact_mapping, digest
 from keymint.view.tree import Tree
 from keymint.workspace.package_build_types import BUILD, may_share
 from keymint.workspace.policy_loading import recorded_files
@@ -307,7 +307,10 @@ def _plan(session: Session, names: Sequence[str], stages: _Stages) -> Iterator[t
 def _without_bytes(plan: PackagePlan) -> PackagePlan:
     if plan.step is None or not plan.step.changes:
         return plan
-    return replace(plan, step=replace(plan.step, changes=tuple(each.held_elsewhere() for each in plan.step.changes)))
+    step = replace(plan.step, changes=tuple(each.held_elsewhere() for each in plan.step.changes))
+    return replace(
+        plan, step=step, stamp=plan.stamp and replace(plan.stamp, outputs=compact_mapping(plan.stamp.outputs))
+    )
 
 
 # -- carrying out ----------------------------------------------------------------------------------------------------
@@ -345,7 +348,7 @@ def execute(
         changing = {step.package for step in plan.steps if step.package and step.writes()}
         store.begin(replace(intent, packages=tuple(sorted(changing))))
         for guard in guards:  # before the first secret is written
-            store.write(guard.folder, guard.files, private=guard.private)
+            store.change([guard])
         # The record of a large fleet is made when all else is staged.
         staged = _staged(plan, lambda: FolderChange(folder, {RECORD: File(plan.state.dump())}), store, workers)
         visible = clock(folder)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import itertools
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import field, replace
 from datetime import datetime
@@ -330,7 +331,8 @@ class Run:
             guards = missing_gitignores(workspace, plan)
             with self.console.progress(len(plan.steps), self.setting.monotonic) as advance:
                 visible = execute(plan, inputs, store, self.crew, advance, self.intent())
-            names = [(str(each.folder), each.written, each.removed) for each in (*guards, *plan.changes())]
+            changes = itertools.chain(guards, plan.changes())
+            names = ((str(each.folder), each.written, each.removed) for each in changes)
             seen = sight.after(names, visible, clock(workspace.state))
             report = self.report({}, plan.diagnostics, exit_code(plan), workspace=workspace, steps=plan.steps)
             remember(self.setting.call, inputs, plan, self.presented(report), seen, store, self.console)

@@ -148,6 +148,7 @@ def _conducted(start: Work, request: Request, crew: Crew) -> Work:
             crew.close()
             return _conducted(start, superseding, crew)
         issued = [each.name for each in planned if not each.withdrawn and each.name not in settled]
+        del planned  # what the register has of each package takes memory
         if request.follow:
             work = work.then(plan_distribution(start.session, work.session, names), INSTALL)
     work = work.noting(*request.notes(work))

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
-from keymint.view.stamps import State
-from keymint.view.tree import Content, File, HeldFile, Tree
+from keymint.view.stamps import State, compact_mapping
+from keymint.view.tree import Content, File, HeldFile, HeldFiles, Tree
 
 __all__ = ["Action", "DocumentSize", "File", "FolderChange", "Plan", "Step", "file_mode", "folder_changes"]
 
@@ -32,19 +32,22 @@ def file_mode(*, secret: bool) -> int:
     return 0o600 if secret else 0o644
 
 
+_NO_FILES: Mapping[str, File] = {}
+
+
 @dataclass(frozen=True, slots=True)
 class FolderChange:
     """Files to write into one folder, and names to remove from it.
 
     Attributes:
-        folder: absolute path.
+        folder: absolute path; a text if another process holds the files, as it takes less memory.
         files: files by name; written in this order, so that a reader meets the least harm in between.
         removed: names of files to remove.
         private: the folder and the ones created on the way to it are 0700 even when no file is secret.
         held: files by name whose content another process holds and will write.
     """
 
-    folder: Path
+    folder: Path | str
     files: Mapping[str, File] = field(default_factory=dict)
     removed: tuple[str, ...] = ()
     private: bool = False
@@ -53,12 +56,12 @@ class FolderChange:
     @property
     def written(self) -> Mapping[str, File | HeldFile]:
         """The files that are written, by whichever process, by name."""
-        return {**self.files, **self.held}
+        return {**self.files, **self.held} if self.files and self.held else self.files or self.held
 
     def held_elsewhere(self) -> FolderChange:
         """Return this change without the content of its files, for a process that does not write them."""
-        held = {name: HeldFile(file.digest, file.secret) for name, file in self.files.items()}
-        return FolderChange(self.folder, {}, self.removed, self.private, held)
+        held = HeldFiles(compact_mapping({name: file.digest for name, file in self.files.items()}))
+        return FolderChange(str(self.folder), _NO_FILES, self.removed, self.private, held)
 
 
 def folder_changes(tree: Tree, folder: Path, files: Mapping[str, File | bytes]) -> tuple[FolderChange, ...]:
@@ -154,18 +157,20 @@ class Plan:
         """Yield all changes, in order."""
         return itertools.chain(self.first, (change for step in self.steps for change in step.changes))
 
-    def overlay(self, below: str = "") -> list[tuple[str, Content]]:
-        """Return the planned content by path, for the stages that plan on top of this one.
+    def overlay(self, below: str = "") -> list[tuple[str, Mapping[str, Content]]]:
+        """Return the planned content by folder and name, for the stages that plan on top of this one.
 
         Args:
             below: if given, a folder with a slash at its end; only the content of it and of its subfolders is returned.
         """
-        changed: list[tuple[str, Content]] = []
-        for change in self.changes():
-            if f"{change.folder}/".startswith(below):
-                changed += [(f"{change.folder}/{name}", file) for name, file in change.written.items()]
-                changed += [(f"{change.folder}/{name}", None) for name in change.removed]
-        return changed
+        return [
+            (
+                str(change.folder),
+                {**change.written, **dict.fromkeys(change.removed)} if change.removed else change.written,
+            )
+            for change in self.changes()
+            if f"{change.folder}/".startswith(below)
+        ]
 
     def writes(self) -> bool:
         """Tell whether anything is written."""

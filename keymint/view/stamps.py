@@ -7,13 +7,16 @@ the existing files.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import field
-from typing import Any
+from typing import Any, TypeVar
 
 from comarmor.values import dataclass
+
+_V = TypeVar("_V")
 
 MAX_RECORD = 1 << 30
 """Largest record in bytes; an enclave needs about 2,400."""
@@ -32,6 +35,45 @@ def digest(*parts: bytes | bytearray | str) -> str:
         hashed.update(len(data).to_bytes(8, "big"))
         hashed.update(data)
     return hashed.hexdigest()
+
+
+class CompactMapping(Mapping[str, _V]):
+    """Values by name that take little memory where many have the same names, as the folders of a fleet do.
+
+    Args:
+        names: the names; equal ones are kept once by whoever makes many.
+        values: their values.
+    """
+
+    __slots__ = ("_names", "_values")
+
+    def __init__(self, names: tuple[str, ...], values: tuple[_V, ...]) -> None:
+        self._names, self._values = names, values
+
+    def __getitem__(self, name: str) -> _V:
+        if name not in self._names:
+            raise KeyError(name)
+        return self._values[self._names.index(name)]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return CompactMapping, (self._names, self._values)
+
+
+def compact_mapping(values: Mapping[str, _V]) -> CompactMapping[_V]:
+    """Return values by name in less memory."""
+    return CompactMapping(_shape(tuple(values)), tuple(values.values()))
+
+
+@functools.lru_cache(maxsize=64)
+def _shape(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return one object for equal names."""
+    return names
 
 
 def digest_files(files: Mapping[str, bytes]) -> str:

@@ -10,10 +10,10 @@ import copy
 import os
 import stat
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import field
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from comarmor.values import dataclass
 from keymint.errors import KeymintError
@@ -56,10 +56,34 @@ class File:
 
 
 class HeldFile(NamedTuple):
-    """A planned file whose content another process holds: its digest, and whether it is secret."""
+    """A planned file whose content another process holds: its digest."""
 
     digest: str
-    secret: bool
+
+
+class HeldFiles(Mapping[str, HeldFile]):
+    """Planned files of a folder by name, whose content another process holds.
+
+    Args:
+        digests: their digests by name.
+    """
+
+    __slots__ = ("_digests",)
+
+    def __init__(self, digests: Mapping[str, str]) -> None:
+        self._digests = digests
+
+    def __getitem__(self, name: str) -> HeldFile:
+        return HeldFile(self._digests[name])
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._digests)
+
+    def __len__(self) -> int:
+        return len(self._digests)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return HeldFiles, (self._digests,)
 
 
 class HeldError(Exception):
@@ -96,26 +120,33 @@ class Tree:
         self._left_out: set[str] = set()
         self._held: tuple[str, ...] = ()
         """Folders that were read completely, with a slash."""
-        self._files: dict[str, dict[str, Content]] = {}
+        self._files: dict[str, Mapping[str, Content]] = {}
         """Planned content by folder and name."""
         self._folders: dict[str, set[str]] = {}
         """Names of planned folders, by the folder around them."""
 
-    def overlaid(self, changes: Iterable[tuple[Path | str, Content]]) -> Tree:
-        """Return this view with more planned content, which hides the disk; None for a file that will be removed."""
+    def overlaid(self, changes: Iterable[tuple[Path | str, Mapping[str, Content]]]) -> Tree:
+        """Return this view with more planned content, which hides the disk.
+
+        Args:
+            changes: folders, perhaps more than once, with the content of files by name; None for a file that will be
+                removed. The view keeps these mappings.
+        """
         tree = Tree()
         tree.__dict__.update(self.__dict__)  # they share what is known of the disk
         files, folders = tree._files, tree._folders = dict(self._files), dict(self._folders)
         # What is shared with other views is copied before it changes.
-        own: set[str] = set()
+        own: dict[str, dict[str, Content]] = {}
         own_folders: set[str] = set()
-        for path, content in changes:
-            folder, _, name = str(path).rpartition("/")
-            if folder not in own:
-                own.add(folder)
-                files[folder] = dict(files.get(folder, ()))
-            files[folder][name] = content
-            while folder and content is not None:
+        for place, contents in changes:
+            folder = str(place)
+            if folder in own:
+                own[folder].update(contents)
+            elif folder in files:
+                files[folder] = own[folder] = {**files[folder], **contents}
+            else:
+                files[folder] = contents
+            while folder and any(content is not None for content in contents.values()):
                 around, _, name = folder.rpartition("/")
                 if name in folders.get(around, ()):
                     break

@@ -215,7 +215,7 @@ def test_all_stages_plan_with_a_mutated_document_or_reject_it(workspace: Path) -
         path, content = chance.choice(list(documents.items()))
         others = [other for name, other in documents.items() if name.name == path.name] + list(documents.values())[:3]
         mutated = _mutated(content, others, chance)
-        inputs = Inputs(at, Tree().overlaid([(path, mutated)]), State(), plugins, {}, now, tokens)
+        inputs = Inputs(at, Tree().overlaid([(path.parent, {path.name: mutated})]), State(), plugins, {}, now, tokens)
         known = None if path.is_relative_to(at.profile) else policy  # only the profile says where the policy is
         with told(f"{path} with seed {seed}", mutated), in_time():
             outcomes[_planned(inputs, known, in_build=path.is_relative_to(at.build))] += 1

@@ -60,7 +60,7 @@ def revoke(
         "revoked": [certificate_json(each) for each in revoking.certificates],
         "restart": [subject_of(name) for name in updated_packages(plan) if name not in chosen],
         "shared": [
-            run.workspace().shown(change.folder / file)
+            run.workspace().shown(f"{change.folder}/{file}")
             for step in plan.steps
             if step.stage == INSTALLED and not step.package
             for change in step.changes

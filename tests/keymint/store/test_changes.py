@@ -17,7 +17,7 @@ def test_only_files_that_differ_are_written(tmp_path: Path) -> None:
     (change,) = folder_changes(Tree(), tmp_path, files)
     assert (change.folder, list(change.files), change.removed) == (tmp_path, ["other", "new"], ())
     assert folder_changes(Tree(), tmp_path, {"same": File(b"1")}) == ()
-    planned = Tree().overlaid([(tmp_path / "other", b"2"), (tmp_path / "new", b"")])
+    planned = Tree().overlaid([(tmp_path, {"other": b"2", "new": b""})])
     assert folder_changes(planned, tmp_path, files) == ()
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import socket
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -52,12 +53,17 @@ def test_an_endless_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert code_of(tmp_path / "file") == "file-size"
 
 
+def by_folder(planned: Iterable[tuple[Path, bytes | None]]) -> Iterator[tuple[Path, dict[str, bytes | None]]]:
+    """Yield planned files as a view is given them, each by itself."""
+    yield from ((path.parent, {path.name: content}) for path, content in planned)
+
+
 def test_the_overlay_hides_the_disk(tmp_path: Path) -> None:
     (tmp_path / "kept").write_bytes(b"old")
     (tmp_path / "changed").write_bytes(b"old")
     (tmp_path / "gone").write_bytes(b"old")
     planned = {tmp_path / "changed": b"new", tmp_path / "gone": None, tmp_path / "a" / "b" / "made": b"new"}
-    tree = Tree().overlaid(planned.items())
+    tree = Tree().overlaid(by_folder(planned.items()))
     assert tree.names(tmp_path) == [("a", True), ("changed", False), ("kept", False)]
     assert tree.names(tmp_path / "a") == [("b", True)]
     assert tree.files(tmp_path) == {"kept": b"old", "changed": b"new"}
@@ -67,8 +73,8 @@ def test_the_overlay_hides_the_disk(tmp_path: Path) -> None:
 
 
 def test_a_later_overlay_hides_an_earlier_one(tmp_path: Path) -> None:
-    first = Tree().overlaid([(tmp_path / "file", b"one"), (tmp_path / "other", b"one")])
-    second = first.overlaid([(tmp_path / "file", None)])
+    first = Tree().overlaid([(tmp_path, {"file": b"one", "other": b"one"})])
+    second = first.overlaid([(tmp_path, {"file": None})])
     assert second.files(tmp_path) == {"other": b"one"}
     assert first.files(tmp_path) == {"file": b"one", "other": b"one"}
 
@@ -98,19 +104,19 @@ def test_the_overlay_alone_is_read_as_a_disk_with_its_files_would_be(planned: di
     files = {path: content for path, content in planned.items() if content is not None}
     if any(other.startswith(f"{path}/") for path in planned for other in planned):
         return  # a path cannot be a file and a folder
-    tree = Tree().overlaid((root / path, content) for path, content in planned.items())
+    tree = Tree().overlaid(by_folder((root / path, content) for path, content in planned.items()))
     assert tree.files(root, depth=8) == files
 
 
 @given(st.lists(st.tuples(PATHS, st.one_of(st.none(), st.binary(max_size=4))), max_size=8), st.integers(0, 8))
 def test_views_on_top_of_each_other_are_read_as_one_and_leave_each_other_alone(changes, split):
-    root = "/nonexistent/overlay"
+    root = Path("/nonexistent/overlay")
     paths = [path for path, _ in changes]
     if any(other.startswith(f"{path}/") for path in paths for other in paths):
         return  # a path cannot be a file and a folder
-    below = Tree().overlaid((f"{root}/{path}", content) for path, content in changes[:split])
+    below = Tree().overlaid(by_folder((root / path, content) for path, content in changes[:split]))
     before = below.files(root, depth=8)
-    above = below.overlaid((f"{root}/{path}", content) for path, content in changes[split:])
+    above = below.overlaid(by_folder((root / path, content) for path, content in changes[split:]))
     planned = {path: content for path, content in dict(changes).items() if content is not None}
     assert above.files(root, depth=8) == planned
     assert below.files(root, depth=8) == before

@@ -104,7 +104,7 @@ def test_packages_are_nested_and_ignored_folders_are_not_searched(tmp_path: Path
 
 def test_packages_that_are_planned_are_seen(tmp_path: Path) -> None:
     make(tmp_path, "a/keymint_package.xml")
-    planned = {tmp_path / "b" / "c" / "keymint_package.xml": b"", tmp_path / "a" / "keymint_package.xml": None}
+    planned = {tmp_path / "b" / "c": {"keymint_package.xml": b""}, tmp_path / "a": {"keymint_package.xml": None}}
     assert packages(Tree().overlaid(planned.items()), tmp_path) == ("b/c",)
 
 
