@@ -178,7 +178,7 @@ class Run:
             ):
                 if auditing and locked and is_recordable(self.setting.call, str(workspace.root)):
                     self._sight = Sight.of(map(str, workspace.spaces()), clock(workspace.state))
-                inputs = self.inputs(workspace)
+                inputs = self.inputs(workspace, self._sight)
                 for space in workspace.spaces():
                     # Other files beside the XML may be large, and are never read.
                     written = space in (workspace.profile, workspace.src)
