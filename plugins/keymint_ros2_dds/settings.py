@@ -123,7 +123,8 @@ _NAME = "CN=/subject"
 """Any subject name that is one: what names of subjects become is decided by the settings of a package."""
 _EVERYWHERE = (api.DomainRange(0, 0),)
 _ANYWHERE = Origin(BUILD_TYPE)
-_PROTECTION = DomainRule(_EVERYWHERE, (), _ANYWHERE, rtps_protection_kind="ENCRYPT")
+_TOPICS = (TopicProtection("topic", "*", _ANYWHERE),)
+_PROTECTION = DomainRule(_EVERYWHERE, _TOPICS, _ANYWHERE, rtps_protection_kind="ENCRYPT")
 
 
 def package_of(rules: SubjectRules, distro: str) -> api.Package:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from comarmor.errors import Diagnostic, Origin, Spot
@@ -63,8 +62,11 @@ class ExpressionOrigins:
         if clause is None or not clause.places:
             return {expression: ExpressionOrigin(rule.origin, at) for at, expression in enumerate(rule.expressions)}
         attachments: dict[str, ExpressionOrigin] = {}
-        seen: Counter[Spot] = Counter()
+        seen: dict[Spot, int] = {}
         for expression, where in zip(expressions_for(clause, subject), clause.places, strict=True):
-            attachments.setdefault(expression, ExpressionOrigin(where, seen[where.spot]))
-            seen[where.spot] += 1
+            spot = where.spot
+            number = seen.get(spot, 0)
+            seen[spot] = number + 1
+            if expression not in attachments:
+                attachments[expression] = ExpressionOrigin(where, number)
         return attachments

@@ -10,6 +10,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import groupby
 from operator import itemgetter
+from typing import NamedTuple
 
 from comarmor.errors import Diagnostic, Origin, Spot
 from comarmor.patterns.decision_lists import Block, Equal, ProofResult, Unknown
@@ -19,7 +20,6 @@ from comarmor.patterns.proofs import escapes
 from comarmor.patterns.relations import TooComplexError
 from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.rules import Effect
-from comarmor.values import dataclass
 from keymint.analysis.lint.findings import ExpressionOrigin, ExpressionOrigins, quoted_list, undecided_note
 from keymint.analysis.rule_lists import (
     PermissionKey,
@@ -46,8 +46,7 @@ MOST_PAIRS = 1_000_000
 """Maximum number of checked pairs of a subject and a rule."""
 
 
-@dataclass(frozen=True, slots=True)
-class _RuleExpression:
+class _RuleExpression(NamedTuple):
     """An expression of a rule in a policy, the same one for all subjects.
 
     The spot of its attachment and its number there identify it, as its text may depend on the subject.
