@@ -7,6 +7,7 @@ Also their structure as it is written, for analyses of subjects that they do not
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import field
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -20,12 +21,16 @@ from keymint.api import AppliedProfile, LoadedPolicy, PolicyDecision, PolicyStru
 from keymint.api.graph import Edge
 from keymint.ir import SubjectRules
 
+_MOST_KNOWN = 1 << 12
+"""Subjects whose rules, with what is known of these, are kept for all stages."""
+
 
 @dataclass(frozen=True, slots=True)
 class ComArmorPolicy(LoadedPolicy):
     """A loaded ComArmor policy."""
 
     policy: comarmor.Policy
+    _known: dict[str, SubjectRules] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def seen(self) -> Mapping[Path, bytes]:
@@ -43,9 +48,12 @@ class ComArmorPolicy(LoadedPolicy):
 
     def rules(self, subject: str) -> SubjectRules | None:
         """Return the rules of a subject, or None when no profile applies to it."""
-        if not self.policy.applicable(subject):
-            return None
-        return SubjectRules(subject, self.policy.rules(subject))
+        known = self._known.get(subject)
+        if known is None and self.policy.applicable(subject):
+            if len(self._known) >= _MOST_KNOWN:
+                self._known.clear()
+            known = self._known[subject] = SubjectRules(subject, self.policy.rules(subject))
+        return known
 
     def rules_digest(self, subject: str) -> str | None:
         """See :meth:`keymint.api.LoadedPolicy.rules_digest`."""

@@ -324,21 +324,37 @@ def _read_back(file: str, base: str) -> str:
 
 
 def _rule_element(rule: Rule, base: str, chains: dict[int, str]) -> str:
-    audit = ' modifier="AUDIT"' if rule.audit else ""
-    expressions = "".join([f"        <attachment>{_text(each)}</attachment>\n" for each in rule.expressions])
-    partitions = "".join([f"<partition>{_text(each)}</partition>" for each in rule.partitions])
-    partition_list = f"        <partitions>{partitions}</partitions>\n" if partitions else ""
-    at = rule.origin
+    start, end = _around_expressions(rule.effect, rule.kind, rule.permissions, rule.partitions, rule.audit)
+    at, texts = rule.origin, rule.expressions
     chain = chains.get(id(at.chain))
     if chain is None:
-        chain = chains[id(at.chain)] = "".join([f"; {_relative(each.file, base)}:{each.line}" for each in at.chain])
-    places = f"{_relative(at.file, base)}:{at.line}{chain}"
+        chain = chains[id(at.chain)] = "".join([f"; {_place(each.file, base)}:{each.line}" for each in at.chain])
+    if _SPECIAL.search("".join(texts)):
+        texts = tuple(map(_text, texts))
+    expressions = "</attachment>\n        <attachment>".join(texts)
+    attachments = f"        <attachment>{expressions}</attachment>\n" if texts else ""
+    return f'{start}{_place(at.file, base)}:{at.line}{chain}">\n{attachments}{end}'
+
+
+@lru_cache(maxsize=1024)
+def _around_expressions(
+    effect: Effect, kind: str, permissions: tuple[str, ...], listed: tuple[str, ...], audited: bool
+) -> tuple[str, str]:
+    """Return the element of a rule up to its places, and from its partitions on."""
+    audit = ' modifier="AUDIT"' if audited else ""
+    partitions = "".join([f"<partition>{_text(each)}</partition>" for each in listed])
+    partition_list = f"        <partitions>{partitions}</partitions>\n" if partitions else ""
+    permission_list = "".join([f"<{each}/>" for each in permissions])
     return (
-        f'      <{rule.kind} qualifier="{rule.effect}"{audit} origin="{_text(places)}">\n'
-        f"{expressions}{partition_list}"
-        f"        <permissions>{''.join([f'<{each}/>' for each in rule.permissions])}</permissions>\n"
-        f"      </{rule.kind}>\n"
+        f'      <{kind} qualifier="{effect}"{audit} origin="',
+        f"{partition_list}        <permissions>{permission_list}</permissions>\n      </{kind}>\n",
     )
+
+
+@lru_cache(maxsize=1024)
+def _place(file: str, base: str) -> str:
+    """Return a file as the attribute of a place has it."""
+    return _text(_relative(file, base))
 
 
 @lru_cache(maxsize=1024)
