@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import field
 from functools import lru_cache
-from itertools import combinations, product
+from itertools import chain, combinations, product
 
 from comarmor.patterns.glob import Glob, literal, matcher, parse, regex
 from comarmor.patterns.relations import TooComplexError, intersection
@@ -47,13 +47,15 @@ STEPS = 20_000
 PLAIN_TEXT = lazy_regex(r"[!#-%'-);=@-Z^-~,-:+]+")
 """Text that every parser and model reads as itself: printable ASCII, without blanks, wildcards, brackets and markup."""
 
+MOST_SHORT = 200
+"""Names that may be too short for an expression that is renamed (:func:`_relations`)."""
 MOST_LETTERS = 100
 """Length of an expression that is renamed, so that the engine takes few steps to compare two."""
 
 Slot = tuple[str, int, str]
 """A DDS name or expression of a kind: a text, the number of an argument, and a text."""
 Signature = tuple[tuple[int, ...], tuple[int, ...], bytes]
-"""Which names are equal; for each name which wildcards match it, as bits; how wildcards that differ are related."""
+"""Which names are equal, which wildcards match which of them, as bits, and how wildcards that differ are related."""
 Ends = tuple[tuple[str, str], ...]
 """The texts before and after the ``*`` of DDS expressions."""
 
@@ -115,17 +117,18 @@ class Structure:
             if not is_read and "*" not in argument:
                 return None
         names = [head + arguments[number] + tail for head, number, tail in self.slots]
+        ends = _ends(self.own, arguments)
+        related, short, expressions = _relations(ends)
+        names += short
         first: dict[str, int] = {}
         equal = tuple(first.setdefault(name, index) for index, name in enumerate(names))
         if not self.own:
             match = self._any.fullmatch
             return names, (equal, tuple(self._matches(name) if match(name) else 0 for name in names), b"")
-        ends = _ends(self.own, arguments)
         matches = (
-            sum(1 << bit for bit, (head, tail) in enumerate(ends) if name.startswith(head) and name.endswith(tail))
-            for name in names
+            sum(1 << bit for bit, name in enumerate(names) if name.startswith(head) and name.endswith(tail, len(head)))
+            for head, tail in ends
         )
-        related, expressions = _relations(ends)
         return [*names, *expressions], (equal, tuple(matches), related)
 
     def _matches(self, name: str) -> int:
@@ -133,18 +136,14 @@ class Structure:
 
 
 def may_differ(kind: Kind, arguments: Arguments) -> bool:
-    """Tell whether a subject with other wildcards may have a document alike: each is a single ``*`` in plain text.
-
-    No text before a ``*`` ends as one after a ``*`` begins: a name matches if it begins and ends in the right way.
-    """
+    """Tell whether a subject with other wildcards may have a document alike: each is a single ``*`` in plain text."""
     slots = _own_slots(kind) if any("*" in text for text in arguments) else ()
     for prefix, number, _ in slots:
         text = arguments[number].replace("*", "x")
         if len(text) > MOST_LETTERS or not (is_fully_qualified(text) if prefix else PLAIN_TEXT.fullmatch(text)):
             return False
     ends = _ends(slots, arguments)
-    begins = tuple({tail[: end + 1] for _, tail in ends for end in range(len(tail))})
-    return 0 < len(ends) <= MOST_WILDCARDS and not any(head.endswith(begins) for head, _ in ends)
+    return 0 < len(ends) <= MOST_WILDCARDS and len(_relations(ends)[1]) <= MOST_SHORT
 
 
 @lru_cache(maxsize=1 << 10)
@@ -167,15 +166,23 @@ def _ends(slots: Iterable[Slot], arguments: Arguments) -> Ends:
 
 
 @lru_cache(maxsize=1 << 8)
-def _relations(ends: Ends) -> tuple[bytes, list[str]]:
-    """Return which texts before a ``*`` begin with which, and after it end with which; expressions, intersections."""
+def _relations(ends: Ends) -> tuple[bytes, list[str], list[str]]:
+    """Return how texts before and after a ``*`` are related, short names, and the expressions with all intersections.
+
+    Short names begin and end as expressions do, with a part of the text before a ``*`` also after it.
+    """
     related = bytes(head.startswith(begin) + 2 * tail.endswith(end) for head, tail in ends for begin, end in ends)
+    heads, tails = dict.fromkeys(head for head, _ in ends), dict.fromkeys(tail for _, tail in ends)
+    short = [
+        [head + tail[size:] for size in range(1, len(tail) + 1) if head.endswith(tail[:size])]
+        for head, tail in product(heads, tails)
+    ]
     expressions = [f"{head}*{tail}" for head, tail in ends]
     for pair in combinations(ends, 2):
         (begin, head), (end, tail) = (sorted(texts, key=len) for texts in zip(*pair, strict=True))
         if head.startswith(begin) and tail.endswith(end):
             expressions.append(f"{head}*{tail}")
-    return related, expressions
+    return related + bytes(map(len, short)), [*chain.from_iterable(short)], expressions
 
 
 def _with_intersections(patterns: Sequence[Glob]) -> tuple[Glob, ...] | None:

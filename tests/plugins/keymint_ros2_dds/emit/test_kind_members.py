@@ -34,6 +34,7 @@ from tests.plugins.keymint_ros2_dds.packages import VALIDITY, package, rule
 
 USUAL = BuildOptions()
 TALK, HEAR = ("ros_topic", "ros_publish"), ("ros_topic", "ros_subscribe")
+PARAMETERS = ("ros_parameter", "ros_read")
 
 NAMES = ["/a", "/b", "/ab", "/a/b", "/c"]
 RAW = ["rt/a", "rt/b", "rt/ab", "x", "rq/aRequest"]
@@ -109,14 +110,14 @@ def test_all_subjects_of_a_random_policy_have_the_bytes_of_the_engine(tmp_path: 
     assert built == [outcome(by_engine, each) for each in loaded]
 
 
-OWN_NAMES = ["/a/x", "/b/x", "/ab/x_c", "/c"]
-OWN_WILD = ["/a/*", "/a*", "/ab/*_c", "/*", "/b/*x"]
+OWN_NAMES = ["/a/x", "/b/x", "/ab/x_c", "/x"]
+OWN_WILD = ["/a/*", "/a*", "/ab/*_c", "/*", "/b/*/x"]
 OWN_RAW = ["rt/a/*", "rt/*", "*", "rt/a*_c", "rq/b*"]
 OTHERS = {
     name: st.sampled_from([name, name.replace("a", "robot").replace("b", "arm"), *others])
     for names, others in (
         (OWN_NAMES, [*OWN_NAMES, "/d/x"]),
-        (OWN_WILD, [*OWN_WILD, "/a/*_c", "/long/name*", "/a/x*", "/*_c", "*a"]),
+        (OWN_WILD, [*OWN_WILD, "/a/*_c", "/long/name*", "/a/x*", "/*/x", "*a"]),
         (OWN_RAW, [*OWN_RAW, "rt/*_c", "rt/a/x*", "*_c"]),
     )
     for name in names
@@ -169,15 +170,32 @@ def test_robots_with_wildcards_of_their_own_need_the_engine_once() -> None:
 
 
 def test_the_intersection_of_two_wildcards_is_renamed() -> None:
-    """The compiler writes it, since one direction allows what the other one denies."""
-    heard = rule("ALLOW", *HEAR, "/*"), rule("DENY", *HEAR, "/*_raw")
+    """The compiler writes it, since one direction allows what the other one denies: an expression, and a short name."""
+    heard = rule("ALLOW", *HEAR, "/*"), rule("DENY", "topic", "subscribe", "*/raw")
     loaded = [
         package(rule("ALLOW", *TALK, f"/{name}/*"), rule("DENY", *TALK, f"/{name}/p"), *heard)
         for name in ("x", "robot")
     ]
     built, asked = by_kind(*loaded)
     assert asked == 1
-    assert b"rt/robot/*_raw" in built[1].documents["permissions.xml"]
+    for topic in (b"<topic>rt/robot/*/raw<", b"<topic>rt/robot/raw<"):
+        assert topic in built[1].documents["permissions.xml"]
+    assert built == [by_engine(each) for each in loaded]
+
+
+def test_the_names_that_are_too_short_for_a_wildcard_are_compared() -> None:
+    """``/r1/scan`` begins and ends as ``/r1/*/scan``. It may be a name of the policy, or match another wildcard."""
+    loaded = [
+        package(
+            rule("ALLOW", *TALK, f"/{robot}/*/scan", f"/{robot}/sc*", *more), rule("ALLOW", *PARAMETERS, f"/{robot}/*")
+        )
+        for more in ((), ("/r1/scan",), ("/robot/scan",), ("/a*",))
+        for robot in ("r1", "robot", "a")
+    ]
+    built, asked = by_kind(*loaded)
+    assert asked == 5, (
+        "a name or a wildcard more is another kind; of these, a short name is equal to the name or is not"
+    )
     assert built == [by_engine(each) for each in loaded]
 
 
@@ -320,8 +338,8 @@ class TestConditions:
 
         self.check(subject("/a/*", "/b/x"), subject("/c/*", "/c/x"), {"rt/a/*": "rt/c/*"})
 
-    def test_a_text_before_a_star_that_ends_as_one_after_a_star_begins(self) -> None:
-        """``/cbd`` begins and ends as ``/cb*bd``, but is too short for it."""
+    def test_a_name_that_is_too_short_for_a_wildcard(self) -> None:
+        """``/cbd`` begins and ends as ``/cb*bd``."""
 
         def subject(wildcard: str, name: str) -> Package:
             return package(rule("ALLOW", *TALK, wildcard, name))
@@ -453,7 +471,7 @@ class TestConditions:
         [
             rule("ALLOW", "topic", "publish", "x", partitions=("p",)),
             rule("ALLOW", *TALK, "/x[12]"),
-            rule("ALLOW", *TALK, "/a*", "/*a"),
+            rule("ALLOW", *TALK, "/a?", "/?a"),
             rule("ALLOW", *TALK, "?x"),
         ],
         ids=["partitions", "a set", "two wildcards with a name in common", "a wildcard for one name"],
