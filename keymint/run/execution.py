@@ -36,11 +36,12 @@ from keymint.output.console import Console
 from keymint.output.report import Report
 from keymint.stages.work import Crew, PackagePlan, PackageStage, session_after
 from keymint.store.changes import Action, File, FolderChange, Plan, Step
+from keymint.store.file_writing import c_function
 from keymint.store.journal import Journal
 from keymint.store.staged import Exchange
 from keymint.store.store import Store, clock
 from keymint.view.recorded_answers import Answer, Call, Sight, is_recordable, name_of, record
-from keymint.view.stamps import compact_mapping, digest
+from keymint.view.stamps import CompactMapping, digest
 from keymint.view.tree import Tree
 from keymint.workspace.package_build_types import BUILD, may_share
 from keymint.workspace.policy_loading import recorded_files
@@ -91,6 +92,8 @@ class Workers(Crew):
         with contextlib.suppress(KeymintError):
             for _ in _plan(session, names[:1], stages):
                 pass
+        if trim := c_function("malloc_trim"):  # the processes inherit what the parsed policy took and is free
+            trim(0)
         context = multiprocessing.get_context("fork")
         for part in parts:
             here, there = context.Pipe()
@@ -309,7 +312,7 @@ def _without_bytes(plan: PackagePlan) -> PackagePlan:
         return plan
     step = replace(plan.step, changes=tuple(each.held_elsewhere() for each in plan.step.changes))
     return replace(
-        plan, step=step, stamp=plan.stamp and replace(plan.stamp, outputs=compact_mapping(plan.stamp.outputs))
+        plan, step=step, stamp=plan.stamp and replace(plan.stamp, outputs=CompactMapping.of(plan.stamp.outputs))
     )
 
 

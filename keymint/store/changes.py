@@ -11,7 +11,7 @@ from pathlib import Path
 
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
-from keymint.view.stamps import State, compact_mapping
+from keymint.view.stamps import State
 from keymint.view.tree import Content, File, HeldFile, HeldFiles, Tree
 
 __all__ = ["Action", "DocumentSize", "File", "FolderChange", "Plan", "Step", "file_mode", "folder_changes"]
@@ -60,7 +60,7 @@ class FolderChange:
 
     def held_elsewhere(self) -> FolderChange:
         """Return this change without the content of its files, for a process that does not write them."""
-        held = HeldFiles(compact_mapping({name: file.digest for name, file in self.files.items()}))
+        held = HeldFiles.of({name: file.digest for name, file in self.files.items()})
         return FolderChange(str(self.folder), _NO_FILES, self.removed, self.private, held)
 
 

@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 
 from comarmor.regex import lazy_regex
 from keymint import __version__
-from keymint.view.stamps import sealed_document, unsealed_document
+from keymint.view.stamps import one_of, sealed_document, unsealed_document
 
 VERSION = 2
 VERBS = ("create", "build", "install", "provision", "status")
@@ -218,7 +218,8 @@ def record(
         return None
     operands = [argument for argument in call.arguments if not argument.startswith("-")]
     with open(state, "rb") as opened:  # noqa: PTH123 - the path is a text
-        recorded = (datetime.fromisoformat(b"".join(parts).decode()) for parts in set(_DATE.findall(opened.read())))
+        found = {b"".join(each.groups()) for each in _DATE.finditer(opened.read())}
+        recorded = (datetime.fromisoformat(text.decode()) for text in found)
         ends = [moment for date in (*dates, *recorded) if (moment := date.timestamp()) >= call.now]
     shapes: dict[tuple[tuple[str, ...], ...], int] = {}
     folders = {
@@ -410,8 +411,8 @@ def folder_status(
         return None
     except OSError:
         newest = NEVER
-    names = sorted(files)
-    return FolderStatus(_digest([owner, *map(files.__getitem__, names)]), newest, tuple(names), tuple(sorted(folders)))
+    names = one_of(tuple(sorted(files)))
+    return FolderStatus(_digest([owner, *map(files.__getitem__, names)]), newest, names, tuple(sorted(folders)))
 
 
 class Sight(NamedTuple):

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import io
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import field
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 from comarmor.values import dataclass
 
@@ -27,7 +28,7 @@ _SEAL, _END = b',"sha256":"', b'"}\n'
 """Text around the digest at the end of a record, which detects damage."""
 
 
-def digest(*parts: bytes | bytearray | str) -> str:
+def digest(*parts: bytes | memoryview | str) -> str:
     """Return the SHA-256, in hex, of several parts, each prefixed with its length to keep them distinct."""
     hashed = hashlib.sha256()
     for part in parts:
@@ -62,17 +63,17 @@ class CompactMapping(Mapping[str, _V]):
         return len(self._names)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return CompactMapping, (self._names, self._values)
+        return type(self), (self._names, self._values)
 
-
-def compact_mapping(values: Mapping[str, _V]) -> CompactMapping[_V]:
-    """Return values by name in less memory."""
-    return CompactMapping(_shape(tuple(values)), tuple(values.values()))
+    @classmethod
+    def of(cls, values: Mapping[str, _V]) -> Self:
+        """Return the mapping with the same values."""
+        return cls(one_of(tuple(values)), tuple(values.values()))
 
 
 @functools.lru_cache(maxsize=64)
-def _shape(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return one object for equal names."""
+def one_of(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return one object for equal names, so that they are kept once."""
     return names
 
 
@@ -139,21 +140,26 @@ class State:
             return text if len(text) <= _DIGEST else texts.setdefault(text, len(texts))
 
         def row(stamp: Stamp) -> list[Any]:
-            files = tuple(sorted(stamp.outputs))
-            shape = files, tuple(sorted(stamp.secret)), stamp.build_types
-            values = [brief(stamp.outputs[file]) for file in files]
-            number = shapes.setdefault(shape, len(shapes))
-            return [stamp.inputs, number, values, brief(stamp.context), brief(stamp.lifetimes)]
+            values = [brief(stamp.outputs[file]) for file in sorted(stamp.outputs)]
+            return [stamp.inputs, shapes[_shape_of(stamp)], values, brief(stamp.context), brief(stamp.lifetimes)]
 
+        stages = [(stage, sorted(of_stage.items())) for stage, of_stage in sorted(self.stamps.items())]
+        for _, of_stage in stages:
+            for _, stamp in of_stage:
+                shapes.setdefault(_shape_of(stamp), len(shapes))
         # Each stamp becomes text at once: what the rows of a large fleet take is more than the stamps.
-        body = bytearray()
-        for number, (stage, of_stage) in enumerate(sorted(self.stamps.items())):
-            body += f"{'},' if number else ''}{_json(stage)}:{{".encode()
-            for at, (name, stamp) in enumerate(sorted(of_stage.items())):
-                body += f"{',' if at else ''}{_json(name)}:{_json(row(stamp))}".encode()
-        body[:0] = f'{{"shapes":{_json([*shapes])},"stamps":{{'.encode()
-        body += f'{"}" if self.stamps else ""}}},"texts":{_json([*texts])},"version":{VERSION}'.encode()
+        body = io.BytesIO()
+        body.write(f'{{"shapes":{_json([*shapes])},"stamps":{{'.encode())
+        for number, (stage, of_stage) in enumerate(stages):
+            body.write(f"{'},' if number else ''}{_json(stage)}:{{".encode())
+            for at, (name, stamp) in enumerate(of_stage):
+                body.write(f"{',' if at else ''}{_json(name)}:{_json(row(stamp))}".encode())
+        body.write(f'{"}" if stages else ""}}},"texts":{_json([*texts])},"version":{VERSION}'.encode())
         return _sealed(body)
+
+
+def _shape_of(stamp: Stamp) -> tuple[tuple[str, ...], ...]:
+    return tuple(sorted(stamp.outputs)), tuple(sorted(stamp.secret)), stamp.build_types
 
 
 _json = json.JSONEncoder(separators=(",", ":"), sort_keys=True).encode
@@ -161,12 +167,16 @@ _json = json.JSONEncoder(separators=(",", ":"), sort_keys=True).encode
 
 def sealed_document(document: Mapping[str, Any]) -> bytes:
     """Return a document as JSON that ends with its digest; equal documents give equal bytes."""
-    return _sealed(bytearray(_json(document).encode())[:-1])
+    body = io.BytesIO()
+    body.write(_json(document).removesuffix("}").encode())
+    return _sealed(body)
 
 
-def _sealed(body: bytearray) -> bytes:
-    body += b"".join((_SEAL, digest(body).encode(), _END))
-    return bytes(body)
+def _sealed(body: io.BytesIO) -> bytes:
+    with body.getbuffer() as content:
+        seal = digest(content).encode()
+    body.write(b"".join((_SEAL, seal, _END)))
+    return body.getvalue()  # which is no copy
 
 
 def unsealed_document(content: bytes | None, version: int) -> Mapping[str, Any] | None:

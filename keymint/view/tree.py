@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 from comarmor.values import dataclass
 from keymint.errors import KeymintError
 from keymint.view.file_reading import MAX_FILE, REGISTER, FileStatus, linked_file, lstat, read_error, read_file
-from keymint.view.stamps import digest
+from keymint.view.stamps import CompactMapping, digest
 
 if TYPE_CHECKING:
     from keymint.view.recorded_answers import Sight
@@ -61,29 +61,13 @@ class HeldFile(NamedTuple):
     digest: str
 
 
-class HeldFiles(Mapping[str, HeldFile]):
-    """Planned files of a folder by name, whose content another process holds.
+class HeldFiles(CompactMapping[Any]):
+    """Planned files of a folder by name, whose content another process holds; made of their digests."""
 
-    Args:
-        digests: their digests by name.
-    """
-
-    __slots__ = ("_digests",)
-
-    def __init__(self, digests: Mapping[str, str]) -> None:
-        self._digests = digests
+    __slots__ = ()
 
     def __getitem__(self, name: str) -> HeldFile:
-        return HeldFile(self._digests[name])
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._digests)
-
-    def __len__(self) -> int:
-        return len(self._digests)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return HeldFiles, (self._digests,)
+        return HeldFile(super().__getitem__(name))
 
 
 class HeldError(Exception):
