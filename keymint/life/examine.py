@@ -33,6 +33,8 @@ from keymint.workspace.stored_keys import IDENTITY_KEYS, key_place, key_remedy, 
 _AGAIN = "make a new key on the robot: 'keymint request --rekey', with --discard if a request waits for its answer"
 RIGHTS_OUTLIVE = "rights-outlive"
 """Code of the finding on earlier rights that are wider than the present ones, and stay good."""
+IGNORED, ORPHANED = "enclave-ignored", "enclave-orphaned"
+"""Codes of the findings on installed enclaves without a visible source package."""
 
 
 def excess_of(subject: str, found: Counterexample | None, reason: str) -> str:
@@ -276,7 +278,7 @@ def orphan_findings(session: Session, *, pruned: bool = False) -> Iterator[Diagn
         if marker is not None:
             message = f"hides the source package of the installed enclave {subject}, which is not checked or updated"
             where, help_ = session.workspace.origin(marker), "remove this file, or the enclave"
-            yield Diagnostic.warning("enclave-ignored", message, where, help_, subject)
+            yield Diagnostic.warning(IGNORED, message, where, help_, subject)
         elif not pruned:
             message = f"the enclave {subject} is installed, but has no source package"
-            yield Diagnostic.warning("enclave-orphaned", message, None, "'keymint install --prune' removes it", subject)
+            yield Diagnostic.warning(ORPHANED, message, None, "'keymint install --prune' removes it", subject)

@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from keymint.authority.authorities import STAGE as AUTHORITIES
 from keymint.errors import KeymintError, process_ended
 from keymint.host.streams_and_signals import held_signals
-from keymint.life.examine import RIGHTS_OUTLIVE
+from keymint.life.examine import IGNORED, ORPHANED, RIGHTS_OUTLIVE
 from keymint.life.revocation_lists_in_force import loaded_lists
 from keymint.output.console import Console
 from keymint.output.report import Report
@@ -319,6 +319,10 @@ def _without_bytes(plan: PackagePlan) -> PackagePlan:
 # -- carrying out ----------------------------------------------------------------------------------------------------
 
 RECORD = "state.json"
+_TOLD_ONCE = {RIGHTS_OUTLIVE, "profile-name-twice", "profile-copied", "profile-wide"}
+"""Codes of what is told only by a run that does something: signed rights became narrower, and slips in the policy."""
+_TOLD_ANYWAY = {"distro-unnamed", ORPHANED, IGNORED}
+"""Codes of what each run finds out, whichever packages it looks at."""
 
 
 def open_store(workspace: Workspace) -> Store:
@@ -424,8 +428,13 @@ def remember(
     workspace = inputs.workspace
     changed = [item for space in (workspace.profile, workspace.public) for item in plan.overlay(f"{space}/")]
     session = replace(inputs, tree=inputs.tree.overlaid(changed), state=plan.state).session()
-    settled = not expected.diagnostics and all(step.action is Action.UNCHANGED for step in expected.steps)
-    answer = Answer(*console.rendered(expected), int(expected.exit_code), settled)
+    settled = all(step.action is Action.UNCHANGED for step in expected.steps) and all(
+        each.code in _TOLD_ANYWAY for each in expected.diagnostics
+    )
+    is_certain = not plan.writes() or not expected.diagnostics
+    if not settled and not is_certain:
+        return
+    answer = Answer(*console.rendered(expected), int(expected.exit_code), settled, is_certain)
     record_answer(call, session, sight, (), answer, store)
 
 
@@ -457,7 +466,7 @@ def next_report(plan: Plan, report: Report) -> Report | None:
     """Return what a command reports if it is given again, or None if that is not known.
 
     What has nothing to do does the same again. After one that did something, everything is unchanged, and no workspace
-    is new; only that documents replaced wider rights is known to be told once.
+    is new; whether its diagnostics are told again is not known of most.
     """
     if not plan.writes():
         return report
@@ -468,5 +477,6 @@ def next_report(plan: Plan, report: Report) -> Report | None:
         if step.package:  # what has none is only reported if it is written
             detail = step.detail if step.stage == AUTHORITIES else ""
             steps.append(Step(step.stage, step.package, Action.UNCHANGED, detail=detail))
-    told_once = all(each.code == RIGHTS_OUTLIVE for each in report.diagnostics)
-    return replace(report, steps=steps, diagnostics=()) if told_once else None
+    return replace(
+        report, steps=steps, diagnostics=[each for each in report.diagnostics if each.code not in _TOLD_ONCE]
+    )

@@ -30,7 +30,7 @@ from comarmor.regex import lazy_regex
 from keymint import __version__
 from keymint.view.stamps import one_of, sealed_document, unsealed_document
 
-VERSION = 2
+VERSION = 3
 VERBS = ("create", "build", "install", "provision", "status")
 """The verbs whose answers are recorded."""
 _RECORDS, _RECORD, _MARK = ".keymint", "state.json", "running"
@@ -79,12 +79,14 @@ class Answer(NamedTuple):
         err: its diagnostics.
         exit_code: its exit code.
         settled: it will find every package unchanged, and tell nothing about one.
+        is_certain: it prints this; else only the rest is known.
     """
 
     out: str
     err: str
     exit_code: int
     settled: bool = False
+    is_certain: bool = True
 
 
 class Consulted(Mapping[str, str]):
@@ -116,6 +118,7 @@ def recall(call: Call) -> Answer | None:
     recorded, listing = _recorded(call, root) if root is not None else (None, b"")
     if (
         recorded is None
+        or not recorded["is_certain"]
         or os.path.lexists(f"{root}/{_RECORDS}/{_MARK}")
         or any(path_status(path)[0] != status for path, status in recorded["status"].items())
     ):
@@ -168,8 +171,12 @@ def _known(listing: bytes) -> Mapping[str, FolderStatus]:
     recorded = unsealed_document(listing, VERSION)
     if recorded is None:
         return {}
-    shapes = [(tuple(files), tuple(folders)) for files, folders in recorded["shapes"]]
-    return {folder: FolderStatus(digest, 0, *shapes[shape]) for folder, (digest, shape) in recorded["folders"].items()}
+    alike = ((tuple(files), tuple(folders), digests) for files, folders, digests in recorded["folders"])
+    return {
+        folder: FolderStatus(digest, 0, files, folders)
+        for files, folders, digests in alike
+        for folder, digest in digests.items()
+    }
 
 
 def is_recordable(call: Call, root: str) -> bool:
@@ -221,11 +228,9 @@ def record(
         found = {b"".join(each.groups()) for each in _DATE.finditer(opened.read())}
         recorded = (datetime.fromisoformat(text.decode()) for text in found)
         ends = [moment for date in (*dates, *recorded) if (moment := date.timestamp()) >= call.now]
-    shapes: dict[tuple[tuple[str, ...], ...], int] = {}
-    folders = {
-        folder: (each.digest, shapes.setdefault((each.files, each.folders), len(shapes)))
-        for folder, each in sight.folders.items()
-    }
+    digests: dict[tuple[tuple[str, ...], ...], dict[str, str]] = {}
+    for folder, each in sight.folders.items():
+        digests.setdefault((each.files, each.folders), {})[folder] = each.digest
     own_record = sealed_document(
         {
             "version": VERSION,
@@ -239,7 +244,9 @@ def record(
             **answer._asdict(),
         }
     )
-    return own_record + sealed_document({"version": VERSION, "folders": folders, "shapes": [*shapes]})
+    return own_record + sealed_document(
+        {"version": VERSION, "folders": [(*names, own) for names, own in digests.items()]}
+    )
 
 
 def name_of(call: Call) -> str:
@@ -445,7 +452,8 @@ class Sight(NamedTuple):
         status = self.folders.get(folder)
         if status is None or status.newest == NEVER:  # it may have links, or not be readable
             return None
-        return dict(sorted((*((name, False) for name in status.files), *((name, True) for name in status.folders))))
+        names = dict.fromkeys(status.files, False) | dict.fromkeys(status.folders, True)
+        return dict(sorted(names.items())) if status.files and status.folders else names
 
     def after(
         self, changes: Iterable[tuple[str, Iterable[str], Iterable[str]]], visible: int, clock: int

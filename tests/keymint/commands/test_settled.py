@@ -19,6 +19,7 @@ from keymint.commands.start import provision as command
 from keymint.errors import KeymintError
 from keymint.stages import pipeline
 from keymint.store.changes import Action
+from keymint.workspace import policy_loading
 from tests.conftest import NOW
 from tests.effort import tries
 
@@ -235,7 +236,13 @@ def test_what_a_run_warned_of_is_told_again(provision: Callable[..., Any], tmp_p
     assert "has no source package" in told
     TOUCHES["places of rules"][0](tmp_path)
     assert provision().err == told
-    assert compared.looked == ALL
+    assert compared.looked == NONE
+    TOUCHES["a rule"][0](tmp_path)
+    assert told in provision().err
+    assert compared.looked == ARM
+    (tmp_path / "policy.xml").write_text(policy(SAME | {"robot/arm": "pose"}, "\n\n"))
+    assert provision().err == told
+    assert compared.looked == NONE
 
 
 def test_changes_one_after_the_other(provision: Callable[..., Any], tmp_path: Path, compared: Compared) -> None:
@@ -260,3 +267,41 @@ def test_any_changes(
                 TOUCHES[touch][0](tmp_path)
         outcome = provision()
     require_done(provision, tmp_path, outcome)
+
+
+WILD = """<profiles>
+  <profile name="all">
+    <attachment>/*</attachment>
+    <ros_topic qualifier="ALLOW">
+      <attachment>/fleet/{topic}</attachment>
+      <permissions><ros_publish/></permissions>
+    </ros_topic>
+  </profile>
+</profiles>
+"""
+
+
+def test_a_package_that_was_away_follows_the_policy_when_it_is_back(keymint, tmp_path: Path) -> None:
+    """That all packages follow the policy was not recorded of this one."""
+    file, arm = tmp_path / "policy.xml", tmp_path / "ws/src/arm"
+    file.write_text(WILD.format(topic="map"))
+    keymint("init", "-w", "ws", "--policy", "policy.xml")
+    for name in ("arm", "gripper"):
+        assert keymint("create", name, "-w", "ws").code == 0
+    arm.rename(tmp_path / "arm")
+    file.write_text(WILD.format(topic="pose"))
+    assert keymint("create", "--all", "-w", "ws").code == 0
+    (tmp_path / "arm").rename(arm)
+    assert keymint("create", "--all", "-w", "ws").code == 0
+    assert "pose" in (arm / "permissions.xml").read_text()
+
+
+def test_the_policy_is_not_loaded_while_all_packages_follow_it(
+    provision: Callable[..., Any], keymint, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    TOUCHES["a subject more"][0](tmp_path)
+    assert provision().code == 0
+    loaded: list[object] = []
+    monkeypatch.setattr(policy_loading, "_load", lambda *arguments: loaded.append(arguments))
+    assert keymint("status", "-w", "ws").code == 0
+    assert not loaded
