@@ -21,6 +21,7 @@ from keymint.names import ROOT, subject_of
 from keymint.pki import certificates
 from keymint.store.changes import Action, File, FolderChange, Step, file_mode, folder_changes
 from keymint.view.stamps import Stamp
+from keymint.view.tree import Tree
 from keymint.workspace.package_build_types import recorded_build_types
 from keymint.workspace.session import Inputs, Session, once
 from keymint.workspace.workspace import hidden_by
@@ -33,19 +34,22 @@ INSTALLED = "install"
 @once
 def enclave_names(session: Session) -> tuple[str, ...]:
     """Return the names of the installed enclaves, sorted."""
-    names: list[str] = []
+    found = _enclave_names(session.tree, str(session.enclaves), "")
     has_root = session.enclaves != session.workspace.install
+    return tuple(sorted(name or ROOT for name in found if name or has_root))
 
-    def search(folder: str, name: str) -> None:
-        entries = session.tree.names(folder)
-        if (name or has_root) and any(entry in {KEY, CERTIFICATE} for entry, is_folder in entries if not is_folder):
-            names.append(name or ROOT)
-        for entry, is_folder in entries:
-            if is_folder and not entry.startswith("."):
-                search(f"{folder}/{entry}", f"{name}/{entry}" if name else entry)
 
-    search(str(session.enclaves), "")
-    return tuple(sorted(names))
+def _enclave_names(tree: Tree, folder: str, name: str) -> Iterator[str]:
+    """Yield the name of a folder, empty for the outermost, if it has files of an enclave, and of those below it.
+
+    A function inside of another one would keep the view of all files until cycles are searched.
+    """
+    entries = tree.names(folder)
+    if any(entry in {KEY, CERTIFICATE} for entry, is_folder in entries if not is_folder):
+        yield name
+    for entry, is_folder in entries:
+        if is_folder and not entry.startswith("."):
+            yield from _enclave_names(tree, f"{folder}/{entry}", f"{name}/{entry}" if name else entry)
 
 
 def with_sources(session: Session) -> tuple[str, ...]:

@@ -21,7 +21,7 @@ from keymint.api import AppliedProfile, LoadedPolicy, PolicyDecision, PolicyStru
 from keymint.api.graph import Edge
 from keymint.ir import SubjectRules
 
-_MOST_KNOWN = 1 << 12
+_MOST_KNOWN = 1 << 10
 """Subjects whose rules, with what is known of these, are kept for all stages."""
 
 
@@ -30,6 +30,7 @@ class ComArmorPolicy(LoadedPolicy):
     """A loaded ComArmor policy."""
 
     policy: comarmor.Policy
+    _structure: list[PolicyStructure] = field(default_factory=list, init=False, repr=False, compare=False)
     _known: dict[str, SubjectRules] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
@@ -66,8 +67,10 @@ class ComArmorPolicy(LoadedPolicy):
         )
 
     def structure(self) -> PolicyStructure:
-        """Return the structure of the policy."""
-        return structure(self.policy)
+        """Return the structure of the policy, which is made once."""
+        if not self._structure:
+            self._structure.append(structure(self.policy))  # a cache of the function would keep the policy
+        return self._structure[0]
 
     def decide(self, edge: Edge) -> PolicyDecision:
         """See :meth:`keymint.api.LoadedPolicy.decide`."""
@@ -91,7 +94,6 @@ def _decision(ruling: Ruling) -> PolicyDecision:
 _Around = tuple[tuple[str, ...], ...]
 
 
-@lru_cache(maxsize=4)
 def structure(policy: comarmor.Policy) -> PolicyStructure:
     """Return the profiles and rules of a policy as they are written."""
     nested = tuple(_nested(policy.profiles, ()))
