@@ -22,7 +22,7 @@ import stat
 import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
-from itertools import takewhile
+from itertools import starmap, takewhile
 from operator import attrgetter
 from typing import Any, NamedTuple
 
@@ -123,8 +123,11 @@ def recall(call: Call) -> Answer | None:
         or any(path_status(path)[0] != status for path, status in recorded["status"].items())
     ):
         return None
-    known = _known(listing)
-    if not known or walk(recorded["spaces"], known) != known:
+    alike = _listed(listing)
+    # A folder that is new below a known one has changed that one.
+    new = walk(space for space in recorded["spaces"] if not any(space in digests for _, _, digests in alike))
+    known = ((folder, digest, files) for files, _, digests in alike for folder, digest in digests.items())
+    if not alike or new or not all(starmap(_is_same, known)):
         return None
     return Answer(recorded["out"], recorded["err"], recorded["exit_code"])
 
@@ -166,15 +169,17 @@ def _recorded(call: Call, root: str) -> tuple[Mapping[str, Any] | None, bytes]:
     return recorded, listing
 
 
+def _listed(listing: bytes) -> Sequence[tuple[tuple[str, ...], tuple[str, ...], Mapping[str, str]]]:
+    """Return names of files and of folders, and the digest of each folder with these; none if the record is damaged."""
+    recorded = unsealed_document(listing, VERSION) or {"folders": ()}
+    return [(tuple(files), tuple(folders), digests) for files, folders, digests in recorded["folders"]]
+
+
 def _known(listing: bytes) -> Mapping[str, FolderStatus]:
     """Return the folders on record, whose files were older than the clock; none if the record is damaged."""
-    recorded = unsealed_document(listing, VERSION)
-    if recorded is None:
-        return {}
-    alike = ((tuple(files), tuple(folders), digests) for files, folders, digests in recorded["folders"])
     return {
         folder: FolderStatus(digest, 0, files, folders)
-        for files, folders, digests in alike
+        for files, folders, digests in _listed(listing)
         for folder, digest in digests.items()
     }
 
@@ -364,19 +369,19 @@ def walk(folders: Iterable[str], known: Mapping[str, FolderStatus] | None = None
     while waiting:
         folder = waiting.pop()
         before = known.get(folder)
-        status = before if before and _is_same(folder, before) else folder_status(folder)
+        status = before if before and _is_same(folder, before.digest, before.files) else folder_status(folder)
         if status is not None:
             found[folder] = status
             waiting += [f"{folder}/{name}" for name in status.folders if name != _SKIPPED]
     return found
 
 
-def _is_same(folder: str, known: FolderStatus) -> bool:
+def _is_same(folder: str, digest: str, files: Iterable[str]) -> bool:
     """Tell whether a folder and its files have a status that is known."""
+    inside = f"{folder}/"
     try:
-        return known.digest == _digest(
-            [_STATUS(os.stat(folder)), *[_STATUS(os.lstat(f"{folder}/{name}")) for name in known.files]]  # noqa: PTH116 - of texts
-        )
+        of_files = [_STATUS(os.lstat(inside + name)) for name in files]
+        return digest == _digest([_STATUS(os.stat(folder)), *of_files])  # noqa: PTH116 - of texts
     except OSError:
         return False
 
