@@ -20,6 +20,7 @@ from keymint.api import Environment
 from keymint.api.plugin_loader import Plugins
 from keymint.errors import ExitCode, KeymintError
 from keymint.host.pool import Pool
+from keymint.host.streams_and_signals import StoppedError, received_signal
 from keymint.names import package_name
 from keymint.output.console import Console, Streams
 from keymint.output.report import Report, merged_diagnostics
@@ -293,10 +294,13 @@ class Run:
         def planned_from(inputs: Inputs) -> Plan:
             self.crew.close()  # those of an earlier plan
             try:
-                return make_plan(inputs)
+                plan = make_plan(inputs)
             except HeldError:
                 self.crew.give_up()
-                return make_plan(inputs)
+                plan = make_plan(inputs)
+            if number := received_signal():  # it arrived where nothing could be raised, e.g. in a finaliser
+                raise StoppedError(number)
+            return plan
 
         with contextlib.closing(self.crew), contextlib.closing(self.tokens):
             return self._carry_out(workspace, planned_from, exit_code)

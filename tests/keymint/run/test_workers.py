@@ -298,3 +298,36 @@ def test_an_interrupted_run_leaves_no_process_and_no_workspace(tmp_path: Path) -
     assert "Traceback" not in errors
     assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
     assert not (tmp_path / "ws").exists()
+
+
+SIGNALLED_IN_A_FINALISER = """
+import os, signal, sys
+from keymint.stages import pipeline
+from keymint.__main__ import main
+
+class Dying:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        for _ in range(1000):  # the handler runs between two instructions
+            pass
+
+conducted = pipeline._conducted
+
+def signalled(*arguments):
+    work = conducted(*arguments)
+    Dying()
+    return work
+
+pipeline._conducted = signalled
+sys.argv = ["keymint", *sys.argv[1:]]
+main()
+"""
+
+
+def test_a_signal_that_arrives_in_a_finaliser_ends_the_run_before_it_writes(tmp_path: Path) -> None:
+    source = policy(tmp_path / "policy.xml", 2)
+    command = [sys.executable, "-c", SIGNALLED_IN_A_FINALISER, "provision", str(source), "-w", "ws"]
+    process = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert process.returncode in {130, -signal.SIGINT}, process
+    assert "Traceback" not in process.stderr
+    assert not (tmp_path / "ws").exists()
