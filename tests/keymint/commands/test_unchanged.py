@@ -269,6 +269,24 @@ def at(moment: int) -> dict[str, str]:
     return {"SOURCE_DATE_EPOCH": str(moment)}
 
 
+def test_a_warning_beside_a_change_is_not_told_from_the_record(
+    keymint, recalled: list[bool], policy: Path, tmp_path: Path
+) -> None:
+    settle()
+    command = ("provision", policy, "-w", "ws")
+    keymint(*command)
+    enclave = next((tmp_path / "ws/install").rglob("cert.pem")).parent
+    shutil.copytree(enclave, enclave.parent / "stray")
+    next((tmp_path / "ws/build").rglob("permissions.xml")).unlink()
+    settle()
+    told = []
+    for is_recalled in (False, False, True):
+        told.append(keymint(*command).err)
+        assert recalled[-1] is is_recalled
+        settle()
+    assert all("stray" in err for err in told)
+
+
 def test_an_answer_writes_nothing(keymint, recalled: list[bool], policy: Path, tmp_path: Path) -> None:
     settle()
     keymint("provision", policy, "-w", "ws")
