@@ -140,26 +140,22 @@ class State:
             return text if len(text) <= _DIGEST else texts.setdefault(text, len(texts))
 
         def row(stamp: Stamp) -> list[Any]:
-            values = [brief(stamp.outputs[file]) for file in sorted(stamp.outputs)]
-            return [stamp.inputs, shapes[_shape_of(stamp)], values, brief(stamp.context), brief(stamp.lifetimes)]
+            files = tuple(sorted(stamp.outputs))
+            shape = files, tuple(sorted(stamp.secret)), stamp.build_types
+            values = [brief(stamp.outputs[file]) for file in files]
+            number = shapes.setdefault(shape, len(shapes))
+            return [stamp.inputs, number, values, brief(stamp.context), brief(stamp.lifetimes)]
 
-        stages = [(stage, sorted(of_stage.items())) for stage, of_stage in sorted(self.stamps.items())]
-        for _, of_stage in stages:
-            for _, stamp in of_stage:
-                shapes.setdefault(_shape_of(stamp), len(shapes))
         # Each stamp becomes text at once: what the rows of a large fleet take is more than the stamps.
         body = io.BytesIO()
-        body.write(f'{{"shapes":{_json([*shapes])},"stamps":{{'.encode())
-        for number, (stage, of_stage) in enumerate(stages):
+        body.write(b'{"stamps":{')
+        for number, (stage, of_stage) in enumerate(sorted(self.stamps.items())):
             body.write(f"{'},' if number else ''}{_json(stage)}:{{".encode())
-            for at, (name, stamp) in enumerate(of_stage):
+            for at, (name, stamp) in enumerate(sorted(of_stage.items())):
                 body.write(f"{',' if at else ''}{_json(name)}:{_json(row(stamp))}".encode())
-        body.write(f'{"}" if stages else ""}}},"texts":{_json([*texts])},"version":{VERSION}'.encode())
+        end = "}" if self.stamps else ""
+        body.write(f'{end}}},"shapes":{_json([*shapes])},"texts":{_json([*texts])},"version":{VERSION}'.encode())
         return _sealed(body)
-
-
-def _shape_of(stamp: Stamp) -> tuple[tuple[str, ...], ...]:
-    return tuple(sorted(stamp.outputs)), tuple(sorted(stamp.secret)), stamp.build_types
 
 
 _json = json.JSONEncoder(separators=(",", ":"), sort_keys=True).encode

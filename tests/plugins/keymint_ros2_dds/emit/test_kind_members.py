@@ -82,16 +82,21 @@ def names_of_a_subject() -> st.SearchStrategy[dict[str, str]]:
     return st.builds(lambda *to: dict(zip([*NAMES, *RAW], [*to[0], *to[1]], strict=True)), others, raw)
 
 
-@settings(max_examples=tries(50, 100), deadline=None)
-@given(st.lists(rules(), min_size=1, max_size=5), st.lists(names_of_a_subject(), min_size=2, max_size=5))
-def test_every_member_has_the_bytes_of_the_engine_whoever_is_first(drawn, renamings) -> None:
-    loaded = [
+def renamed_packages(drawn: Sequence[Rule], renamings: Sequence[Mapping[str, str]]) -> list[Package]:
+    """Return a package for each renaming of the expressions in some rules."""
+    return [
         package(
             *(replace(each, expressions=tuple(names.get(text, text) for text in each.expressions)) for each in drawn),
             subject=f"/robot{number}",
         )
         for number, names in enumerate(renamings)
     ]
+
+
+@settings(max_examples=tries(50, 100), deadline=None)
+@given(st.lists(rules(), min_size=1, max_size=5), st.lists(names_of_a_subject(), min_size=2, max_size=5))
+def test_every_member_has_the_bytes_of_the_engine_whoever_is_first(drawn, renamings) -> None:
+    loaded = renamed_packages(drawn, renamings)
     expected = [outcome(by_engine, each) for each in loaded]
     for turned in (False, True):
         with mock.patch.object(kind_members, "_known", {}):
@@ -134,13 +139,7 @@ OWN_KINDS = (
     st.lists(rules(OWN_KINDS), min_size=1, max_size=5), st.lists(st.fixed_dictionaries(OTHERS), min_size=2, max_size=4)
 )
 def test_subjects_with_wildcards_of_their_own_have_bytes_and_claims_of_the_engine(drawn, texts) -> None:
-    loaded = [
-        package(
-            *(replace(each, expressions=tuple(own.get(text, text) for text in each.expressions)) for each in drawn),
-            subject=f"/robot{number}",
-        )
-        for number, own in enumerate(texts)
-    ]
+    loaded = renamed_packages(drawn, texts)
     expected = [outcome(by_engine, each) for each in loaded]
     built, asked = by_kind(*loaded)
     event(f"renamed: {asked < len(loaded)}")
