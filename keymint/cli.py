@@ -253,15 +253,17 @@ def _setting(given: Sequence[str]) -> Any:
     call = call_of(given)
     progress = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
     ask = _ask if sys.stdin is not None and sys.stdin.isatty() else None
+    agrees = _agrees if ask and sys.stderr.isatty() else None
     streams = Streams(sys.stdout, sys.stderr, *call.colours, progress=progress)
     # The process may have been started without standard input.
-    return setting(call, streams, ask, lambda most: b"" if sys.stdin is None else sys.stdin.buffer.read(most))
+    return setting(call, streams, ask, agrees, lambda most: b"" if sys.stdin is None else sys.stdin.buffer.read(most))
 
 
 def setting(
     call: Call,
     streams: Streams,
     ask: Callable[[str], str] | None = None,
+    agrees: Callable[[str], bool] | None = None,
     read: Callable[[int], bytes] = lambda _most: b"",
 ) -> Setting:
     """Return the environment of a run: the clock, the folders and the processors of this machine.
@@ -270,6 +272,7 @@ def setting(
         call: the command; see :func:`call_of`.
         streams: where output goes.
         ask: shows a text and returns what the user types, unseen; None if there is no terminal.
+        agrees: shows a question and returns whether the user types yes; None if there is no terminal for it.
         read: returns at most so many bytes of standard input.
     """
     from keymint.run.run import Setting  # noqa: PLC0415 - not needed for --help
@@ -284,6 +287,7 @@ def setting(
         streams=streams,
         call=call,
         ask=ask,
+        agrees=agrees,
         read=read,
     )
 
@@ -296,6 +300,13 @@ def _ask(text: str) -> str:
         return getpass.getpass(text)
     except EOFError:
         return ""
+
+
+def _agrees(question: str) -> bool:
+    """Show a question on the terminal, and return whether the user types yes; the end of input is no."""
+    sys.stderr.write(question)
+    sys.stderr.flush()
+    return sys.stdin.readline().strip().lower() in {"y", "yes"}
 
 
 def _cache() -> Path:

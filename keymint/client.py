@@ -26,7 +26,7 @@ from comarmor.errors import Diagnostic, Severity
 from comarmor.values import dataclass
 from keymint import cli
 from keymint.api import LoadedPolicy
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, UnconfirmedError
 from keymint.life.terms import DEFAULT, Threshold
 from keymint.names import package_name, subject_of
 from keymint.output.console import Streams
@@ -39,7 +39,7 @@ from keymint.workspace.package_build_types import BUILD
 from keymint.workspace.policy_loading import load_policy, locations_digest
 from keymint.workspace.session import Inputs, Session
 
-__all__ = ["Client", "Enclave", "KeymintError", "Threshold"]
+__all__ = ["Client", "Enclave", "KeymintError", "Threshold", "UnconfirmedError"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,11 +9,17 @@ from comarmor.errors import ComArmorError as KeymintError
 from comarmor.errors import ExitCode, Origin
 from comarmor.text import did_you_mean
 
-__all__ = ["ExitCode", "KeymintError", "UnsayableError", "known_authority", "process_ended", "usage_error"]
+__all__ = [
+    "ExitCode", "KeymintError", "UnconfirmedError", "UnsayableError", "known_authority", "process_ended", "usage_error",
+]  # fmt: skip
 
 
 class UnsayableError(ValueError):
     """A format cannot say a rule; the message has the reason, and the exporter makes a finding of it."""
+
+
+class UnconfirmedError(KeymintError):
+    """A run stopped before it wrote anything, since nobody agreed to what it would take away; see ``Run.confirm``."""
 
 
 def usage_error(message: str, help_: str, code: str = "usage") -> KeymintError:

@@ -252,7 +252,7 @@ def graph_source(plugins: Plugins, name: str | None, option: str) -> GraphSource
 
 
 def common_options(
-    *, workspace: bool = True, jobs: bool = False, dry_run: bool = False, processes: bool = False
+    *, workspace: bool = True, jobs: bool = False, dry_run: bool = False, processes: bool = False, yes: bool = False
 ) -> Iterator[click.Option]:
     """Yield the options that are not about what a verb does.
 
@@ -261,6 +261,7 @@ def common_options(
         jobs: the verb writes several packages at a time.
         dry_run: the verb writes files.
         processes: the verb can compute in several processes.
+        yes: the verb asks before it takes something away; see :meth:`keymint.run.run.Run.confirm`.
     """
     if workspace:
         yield click.Option(
@@ -280,3 +281,5 @@ def common_options(
         yield click.Option(["-j", "--jobs"], type=click.IntRange(1, 256), metavar="N", help=what)
     if dry_run:
         yield click.Option(["--dry-run"], is_flag=True, help="Show what would change; write nothing.")
+    if yes:
+        yield click.Option(["--yes"], is_flag=True, help="Do not ask, or stop, before something is taken away.")

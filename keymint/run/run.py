@@ -18,7 +18,7 @@ from comarmor.values import dataclass
 from keymint import SPACES
 from keymint.api import Environment
 from keymint.api.plugin_loader import Plugins
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import ExitCode, KeymintError, UnconfirmedError
 from keymint.host.pool import Pool
 from keymint.host.streams_and_signals import StoppedError, received_signal
 from keymint.names import package_name
@@ -51,6 +51,8 @@ class Setting:
         streams: where output goes.
         call: the command.
         ask: shows a text and returns what the user types, unseen; None if there is no terminal.
+        agrees: shows a question and returns whether the user types yes; None unless both standard input and standard
+            error are terminals.
         read: returns at most so many bytes of standard input.
     """
 
@@ -63,6 +65,7 @@ class Setting:
     streams: Streams
     call: Call
     ask: Callable[[str], str] | None = None
+    agrees: Callable[[str], bool] | None = None
     read: Callable[[int], bytes] = lambda _most: b""
 
 
@@ -94,12 +97,17 @@ class Run:
         self.setting = setting
         self.verb = verb
         self.dry_run: bool = options.get("dry_run", False)
+        self.yes: bool = options.get("yes", False)
+        """The user agrees to what the run would ask for."""
         self.jobs: int = options.get("jobs") or setting.cores
         self.console = Console(
             setting.streams,
             verbosity=-1 if options["quiet"] else options["verbose"],
             as_json=options["as_json"],
         )
+        self._agrees = None if options["quiet"] or options["as_json"] else setting.agrees
+        self._agreed: set[Diagnostic] = set()
+        """What the user agreed to; a plan may be made twice."""
         self.plugins = Plugins(environment=Environment(setting.now, setting.cache, setting.environment))
         self.crew = Workers(self.jobs if "jobs" in options else 1, setting.monotonic)
         """Who plans packages for the conductor of the stages."""
@@ -255,6 +263,41 @@ class Run:
         """Return a report that says what became of an interrupted run."""
         found = self.interrupted.outcome(self.intent()) if self.interrupted else None
         return replace(report, diagnostics=(*report.diagnostics, found)) if found else report
+
+    # -- what the user must agree to -----------------------------------------------------------------------------
+
+    def confirm(self, reasons: Sequence[Diagnostic], show: Callable[[], None] = lambda: None) -> tuple[Diagnostic, ...]:
+        """Stop the run unless the user agrees: by ``--yes``, or on a terminal when asked; without reasons it goes on.
+
+        A verb that may take away what the user did not mean to has ``@verb(yes=True)``, and calls this while it plans,
+        so before anything is written. Nothing is asked with ``--json`` or ``-q``, and by a dry run.
+
+        Args:
+            reasons: warnings, each with what would be lost.
+            show: shows more about it, before the question only.
+
+        Returns:
+            The reasons, to be told with the plan; none if they were shown with the question.
+
+        Raises:
+            UnconfirmedError: nobody agreed; exit code 3, with the reasons as errors.
+        """
+        if self.yes or self.dry_run:
+            return tuple(reasons)
+        if self._agreed.issuperset(reasons):
+            return ()
+        if self._agrees is None:
+            stopped = Diagnostic.error("not-confirmed", "nothing was written", None, "if this is wanted, add --yes")
+        else:
+            show()
+            for each in reasons:
+                self.console.diagnostic(self.as_typed(each))
+            if self._agrees("Go on? [y/N] "):
+                self._agreed.update(reasons)
+                return ()
+            reasons, stopped = (), Diagnostic.error("not-confirmed", "nothing was written, as you answered")
+        errors = (replace(each, severity=Severity.ERROR) for each in reasons)
+        raise UnconfirmedError.of([*errors, stopped], ExitCode.FINDINGS)
 
     # -- doing it ------------------------------------------------------------------------------------------------
 

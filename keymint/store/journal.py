@@ -29,8 +29,8 @@ MARK = "running"
 """Name of its file in the folder of records, which stays if the command is killed."""
 
 VERSION = 1
-_SHOWN = frozenset({"-v", "--verbose", "-q", "--quiet", "--json"})
-"""Options that change what a command shows, and nothing else."""
+_SHOWN = frozenset({"-v", "--verbose", "-q", "--quiet", "--json", "--yes"})
+"""Options that change what a command shows, or whether it asks, and nothing else."""
 _OUTPUTS = ("-o", "--output", "--with-key")
 """Options whose values are files that a command writes."""
 _NAMING_FILES = frozenset(
