@@ -64,6 +64,16 @@ def test_the_page_about_the_life_of_a_keystore_shows_what_happens(keymint, tmp_p
     assert len(steps) >= 2
 
 
+def test_policies_on_all_pages_and_in_the_examples_are_in_canonical_form(keymint, tmp_path: Path) -> None:
+    blocks = [block for page in PAGES for block in re.findall(r"```xml\n(.*?)```", page.read_text(), re.DOTALL)]
+    shown = [block for block in blocks if re.match(r"(<\?xml.*\n)?<(profiles?|tests)\b", block)]
+    assert len(shown) >= 6
+    for number, block in enumerate(shown):
+        (tmp_path / f"shown{number}.xml").write_text(block)
+    outcome = keymint("fmt", "--check", str(tmp_path), str(CHECKOUT / "examples"))
+    assert (outcome.code, outcome.err) == (0, ""), outcome.err
+
+
 def test_the_policy_on_the_page_of_the_language_works_when_saved(keymint, tmp_path: Path) -> None:
     files = saved_files(CHECKOUT / "docs" / "language.md")
     assert [name for name, _ in files] == ["policy.xml", "policy.test.xml"]

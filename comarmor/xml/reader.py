@@ -7,7 +7,6 @@ document that exceeds a limit never becomes a tree.
 
 from __future__ import annotations
 
-import re
 from array import array
 from typing import Any, NoReturn
 from xml.parsers import expat  # nosec - every DOCTYPE is refused, so there are no entities to expand
@@ -118,8 +117,12 @@ def parse(content: bytes, name: str, *, limits: Limits = LIMITS, chain: tuple[Or
     try:
         root: Any = etree.fromstring(content, parser)
     except etree.XMLSyntaxError as error:
-        raise ComArmorError(
-            f"not well-formed XML: {error.msg}", where=Origin(name, error.lineno or 0, chain), code="xml-syntax"
+        from comarmor.xml.syntax_errors import encoding_error  # noqa: PLC0415 - only messages of errors need it
+
+        where = Origin(name, error.lineno or 0, chain)
+        unreadable = encoding_error(content, where, is_token=False)
+        raise (
+            unreadable or ComArmorError(f"not well-formed XML: {error.msg}", where=where, code="xml-syntax")
         ) from None
     docinfo: Any = root.getroottree().docinfo
     if docinfo.doctype or root.xpath("count(//*)") != len(places):
@@ -187,9 +190,10 @@ class _Scanner:
                     self.refuse(f"a tag or comment has more than {self.limits.tag_bytes:,} bytes", "xml-limit")
             self.parser.Parse(b"", True)
         except expat.ExpatError as error:
-            message, help_ = self.explain(error, content)
-            where = self.at(error.lineno)
-            raise ComArmorError(f"not well-formed XML: {message}", where=where, help=help_, code="xml-syntax") from None
+            from comarmor.xml.syntax_errors import syntax_error  # noqa: PLC0415 - only messages of errors need it
+
+            at, begun = self.parser.ErrorByteIndex, bool(self.places)
+            raise syntax_error(error, content, at, self.open, self.at(error.lineno), begun=begun) from None
         except (LookupError, UnicodeError, ValueError) as error:
             raise ComArmorError(
                 f"the encoding of the file is not usable: {quote(str(error))}",
@@ -203,22 +207,6 @@ class _Scanner:
     def at(self, number: int) -> Origin:
         """Return the place of a line."""
         return Origin(self.file.file, number, self.file.chain)
-
-    def explain(self, error: expat.ExpatError, content: bytes) -> tuple[str, str]:
-        """Return the description of a syntax error, and how to fix it if a prefix is not declared.
-
-        If tags do not match, the description has the expected end tag.
-        """
-        name = expat.ErrorString(error.code)
-        if name == expat.errors.XML_ERROR_TAG_MISMATCH and self.open:
-            tag, opened = self.open[-1]
-            return f"expected the end of <{tag.rpartition('}')[2]}>, which begins on line {opened}", ""
-        if name != expat.errors.XML_ERROR_UNBOUND_PREFIX:
-            return name, ""
-        is_include = re.match(rb"</?xi:", content[self.parser.ErrorByteIndex :])
-        added = f'add xmlns:xi="{XINCLUDE}" to the root element'
-        declared = "declare the prefix with xmlns:… at the root element, or remove it"
-        return "a prefix of this tag is not declared", added if is_include else declared
 
     def refuse(self, message: str, code: str, help_: str = "") -> NoReturn:
         """Stop at the current line."""

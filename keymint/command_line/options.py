@@ -11,12 +11,14 @@ from typing import Any
 
 import click
 
+from comarmor.errors import Diagnostic
 from comarmor.regex import lazy_regex
-from comarmor.rules import PERMISSIONS
+from comarmor.rules import PERMISSIONS, RAW_PREFIXES
 from comarmor.values import dataclass
 from keymint.command_line.verb import argument, flag, option, option_group, path_option, plugin
 from keymint.errors import KeymintError
 from keymint.life.terms import Threshold
+from keymint.names import RAW
 from keymint.stages.work import InstallRequest
 from keymint.view.tree import Tree
 from keymint.workspace.workspace import Workspace, find, packages
@@ -245,6 +247,22 @@ kind_option = option(
     type=click.Choice(tuple(PERMISSIONS)),
     help="Kind of OBJECT; 'topic' is a raw topic of the transport [a name that begins with '/' is a ROS name].",
 )
+
+
+def raw_topic_doubt(kind: str, name: str, *, typed: bool) -> tuple[Diagnostic, ...]:
+    """Return a warning if a denied object was read as a raw topic, as its name has no ``/`` in front, or nothing.
+
+    Args:
+        kind: kind of the object.
+        name: its name.
+        typed: the user named the kind.
+    """
+    if kind != RAW or typed or name.startswith(RAW_PREFIXES):
+        return ()
+    help_ = f"did you mean {'/' + name!r}? If not, add --kind {RAW}"
+    return (Diagnostic.warning("query-object", f"{name!r} is read as a raw topic", help=help_),)
+
+
 vendors_of_option = option(
     metavar="NAME",
     help="Ask for the versions of vendors that this ROS 2 distribution ships [the workspace's]. Names of the transport "

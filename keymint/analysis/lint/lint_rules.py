@@ -20,6 +20,7 @@ from comarmor.text import did_you_mean
 from keymint.analysis.lint.attachment_mistakes import attachment_mistakes
 from keymint.analysis.lint.findings import ExpressionOrigins, quoted_list, undecided_note
 from keymint.analysis.lint.name_similarity import similar_names, similar_subjects
+from keymint.analysis.lint.object_mistakes import object_mistakes
 from keymint.analysis.lint.redundant_rules import MOST_PAIRS, RedundantRules, can_name_exist, within_bounds
 from keymint.analysis.subject_patterns import (
     ROOT_ENCLAVE,
@@ -42,6 +43,9 @@ CODES: Mapping[str, str] = {
     "profile-never": "A profile never applies together with the profiles around it.",
     "tunable-unused": "A tunable is declared but never used.",
     "name-similar": "A name is similar to one that would fit: a likely typo.",
+    "object-any": "An ALLOW rule gives more than reading on every object.",
+    "parameter-object": "A ros_parameter rule names a parameter where a node is expected, or a misspelt node.",
+    "served-twice": "Several subjects may serve what nobody may call.",
     "profile-name-twice": "Two profiles side by side have the same name.",
     "profile-copied": "Two profiles side by side are attached to the same subjects.",
     "profile-wide": "A wildcard gives rights to a subject that has a profile of its own.",
@@ -71,7 +75,8 @@ def lint(policy: LoadedPolicy) -> list[Diagnostic]:
         )
         for reason in given_up
     ]
-    findings += similar_names({subject: subjects[subject] for subject in named if subject in subjects}, attachments)
+    own = {subject: subjects[subject] for subject in named if subject in subjects}
+    findings += (*similar_names(own, attachments), *object_mistakes(policy, own, attachments))
     if written:
         findings += (*similar_subjects(written), *attachment_mistakes(written), *root_names(policy, written))
     return sorted_diagnostics(findings)

@@ -28,7 +28,8 @@ _PAIRS = (
 )
 _PEERS = {one: other for pair in _PAIRS for one, other in (pair, pair[::-1])}
 """The permission of the peer, by permission."""
-_MOST_EDITS = 2
+MOST_EDITS = 2
+"""Maximum number of edits between a name and a misspelling of it."""
 _SHORTEST = 4
 _SIMILAR = 0.8
 """Minimum similarity of two names by :meth:`difflib.SequenceMatcher.ratio`."""
@@ -40,7 +41,7 @@ _DIGITS = lazy_regex(r"\d+")
 
 
 def similar_names(subjects: Mapping[str, tuple[Rule, ...]], attachments: ExpressionOrigins) -> Iterator[Diagnostic]:
-    """Yield names without a peer where a similar name lacks exactly this peer.
+    """Yield names without a peer where a similar name lacks exactly this peer, or has it and differs by a slip.
 
     Args:
         subjects: the rules of each subject that a policy names.
@@ -57,9 +58,15 @@ def similar_names(subjects: Mapping[str, tuple[Rule, ...]], attachments: Express
     reported: set[frozenset[str]] = set()
     given_up: list[str] = []
     for permission, other in _PEERS.items():
-        candidates = _CandidateNames(name for name in exact[other] if has_no_peer(other, name))
+        lone = {name: None for name in exact[other] if has_no_peer(other, name)}
+        candidates, paired = CandidateNames(lone), CandidateNames(name for name in exact[other] if name not in lone)
         for name, (subject, rule) in exact[permission].items():
-            near = candidates.nearest(name, _MOST_EDITS, given_up) if has_no_peer(permission, name) else None
+            if not has_no_peer(permission, name):
+                continue
+            near = candidates.nearest(name, MOST_EDITS, given_up)
+            if not near:
+                near = paired.nearest(name, MOST_EDITS, given_up)
+                near = near if near and _is_slip(name, near) else None
             if near and frozenset((name, near)) not in reported:
                 reported.add(frozenset((name, near)))
                 peer, peer_rule = exact[other][near]
@@ -69,7 +76,7 @@ def similar_names(subjects: Mapping[str, tuple[Rule, ...]], attachments: Express
                     f"{subject} may {_plain(permission)} the {KIND_OF[permission]} {name!r} "
                     f"and nobody may {_plain(other)} it, but {peer} may {_plain(other)} {near!r} ({peer_place})",
                     attachments.of(rule, subject)[name].where,
-                    f"did you mean {near!r}?",
+                    f"if one of the two is misspelt, write the same name in both places: {name!r} or {near!r}",
                     subject,
                 )
     yield from _unknown(given_up)
@@ -84,7 +91,7 @@ def similar_subjects(written: PolicyStructure) -> Iterator[Diagnostic]:
             if name is not None:
                 named[name][profile.where] = where
     given_up: list[str] = []
-    often = _CandidateNames(name for name, places in named.items() if len(places) > 1)
+    often = CandidateNames(name for name, places in named.items() if len(places) > 1)
     for name, places in named.items():
         near = often.nearest(name, 1, given_up) if len(places) == 1 else None
         if near:
@@ -134,7 +141,7 @@ def _unknown(given_up: Sequence[str]) -> Iterator[Diagnostic]:
         )
 
 
-class _CandidateNames:
+class CandidateNames:
     """Names to compare with.
 
     The search ignores numbers: names that differ only in numbers are not typos.
@@ -179,6 +186,11 @@ class _CandidateNames:
             given_up.append(name)
             return None
         return best[1] or None
+
+
+def _is_slip(one: str, other: str) -> bool:
+    """Whether names differ by a letter too many or two letters that changed places: no pair of names means that."""
+    return sorted(one) == sorted(other) or (len(one) != len(other) and _edits(one, other) == 1)
 
 
 def _edits(one: str, other: str) -> int:

@@ -195,7 +195,9 @@ def _waiting(
 
 def _issued_again(run: Run, session: Session, due: Schedule, names: Sequence[str], *, rekey: bool, prove: bool) -> Plan:
     """Plan new certificates and permissions of some packages, and the revocation lists that are due."""
-    first = plan_issuance(session, run.verb, {name: renewal_issuance(session, name) for name in names})
+    decided = {name: renewal_issuance(session, name) for name in names}
+    begins = {name: new for name, new in decided.items() if rekey or new != session.issuance(name)}
+    first = plan_issuance(session, run.verb, begins)
     ends = [list_end(session, each) for each in due.lists]
     request = Request(
         names,
@@ -238,7 +240,7 @@ def _lines(
         for each in result["renewed"]
     ]
     lines += [
-        f"{each['subject']} stays as it is: a renewal would give it the dates that it has; "
+        f"{each['subject']}: nothing to renew: a new certificate would have the same dates; "
         f"in force until {_date(each['until'])}"
         for each in result["unchanged"]
     ]

@@ -78,8 +78,8 @@ def fmt(
     elif diff is None:
         if writes or run.dry_run:
             run.console.lines(f"{each.name} {'written' if writes else 'would be written'}" for each in changed)
-        other = f", {len(changed)} not" + " before" * writes if changed else ""
-        run.console.line(f"{quantity(len(files), 'file')}: {len(files) - len(changed)} in canonical form{other}")
+        done = "reformatted" if writes else "to reformat"
+        run.console.line(f"{quantity(len(changed), 'file')} {done}, {len(files) - len(changed)} unchanged")
     result: dict[str, Any] = {
         "files": [{"file": each.name, "changed": each.before != each.after} for each in files],
         "written": [each.name for each in changed] if writes else [],

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from itertools import product
 from pathlib import Path
@@ -12,16 +13,16 @@ from comarmor.errors import Diagnostic
 from comarmor.patterns.decision_lists import Equal
 from comarmor.patterns.glob import Glob, parse
 from comarmor.patterns.tokens import PatternError
-from comarmor.rules import RAW_PREFIXES
-from comarmor.text import did_you_mean, quantity
+from comarmor.rules import PERMISSIONS
+from comarmor.text import did_you_mean, nearest_word, quantity
 from comarmor.values import dataclass
 from keymint.analysis.channels import Channel, ChannelSearch
 from keymint.analysis.query import PermissionHolder, effective_permissions, who_can
-from keymint.analysis.rule_lists import RAW, allow_only, display_name, find_permitted, query_pattern
-from keymint.analysis.subject_patterns import representatives, rules_of, unknown_subject
+from keymint.analysis.rule_lists import allow_only, display_name, find_permitted, query_pattern
+from keymint.analysis.subject_patterns import representatives, rules_of, unknown_subject, with_distinct_rules
 from keymint.api import LoadedPolicy
 from keymint.command_line.named_policies import Policies
-from keymint.command_line.options import PolicyOptions, kind_option, policy_options
+from keymint.command_line.options import PolicyOptions, kind_option, policy_options, raw_topic_doubt
 from keymint.command_line.verb import Report, Run, argument, findings_if, flag, option, verb
 from keymint.errors import usage_error
 from keymint.names import typed_permission, typed_subject
@@ -182,9 +183,23 @@ def _doubts(policy: LoadedPolicy, question: _Question, verdict: str, *, typed: b
     if isinstance(find_permitted(kind, allow_only(question.names)), Equal):
         help_ = "segments are letters, digits and '_', do not begin with a digit, and none is empty"
         yield Diagnostic.warning("query-object", f"no {kind} can have a name like {name!r}", help=help_)
-    elif kind == RAW and not typed and verdict == "no" and not name.startswith(RAW_PREFIXES):
-        help_ = f"did you mean {'/' + name!r}? If not, add --kind {RAW}"
-        yield Diagnostic.warning("query-object", f"{name!r} is read as a raw topic", help=help_)
+    elif verdict == "no":
+        yield from raw_topic_doubt(kind, name, typed=typed) or _unwritten(policy, kind, name)
+
+
+def _unwritten(policy: LoadedPolicy, kind: str, name: str) -> Iterator[Diagnostic]:
+    """Yield a warning about a name that no rule has, if a rule has a similar one, or has it for another kind."""
+    kinds: dict[str, set[str]] = defaultdict(set)
+    for _, rules in with_distinct_rules((each, rules_of(policy, each)) for each in policy.subjects()):
+        for rule in rules:
+            kinds[rule.kind].update(rule.expressions)
+    other = next((each for each in PERMISSIONS if name in kinds[each]), "")
+    near = nearest_word(name, kinds[kind], 0.8)
+    if other and name not in kinds[kind]:
+        help_ = f"its permissions are {' and '.join(PERMISSIONS[other])}"
+        yield Diagnostic.warning("query-object", f"in the policy, {name!r} is the name of a {other}", help=help_)
+    elif near and name not in kinds[kind]:
+        yield Diagnostic.warning("query-object", f"no rule is about {name!r}", help=f"did you mean {near!r}?")
 
 
 def _read(words: Sequence[str], folder: Path, kind: str, partition: str) -> tuple[Path | None, _Question]:
@@ -263,8 +278,9 @@ def _what(run: Run, policy: LoadedPolicy, question: _Question) -> _Answer:
         run.console.line(f"no profile of the policy applies to any subject that {asked} matches")
     else:
         applies = any(policy.rules(subject) is not None for subject in subjects)
-        why = "no rule allows it anything" if applies else "no profile of the policy applies to it"
-        run.console.line(f"{asked} can do nothing: {why}")
+        hint = did_you_mean(asked, policy.subjects())
+        none = f"no profile of the policy applies to it{f'; {hint}' if hint else ''}"
+        run.console.line(f"{asked} can do nothing: {'no rule allows it anything' if applies else none}")
     return "yes" if abilities else "no", {"subjects": subjects, "abilities": abilities}
 
 

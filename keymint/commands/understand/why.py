@@ -13,7 +13,7 @@ import click
 from comarmor.errors import Diagnostic
 from keymint.api import DomainRange, Endpoint, Tier
 from keymint.api.graph import LABELLED
-from keymint.command_line.options import kind_option, transport_option
+from keymint.command_line.options import kind_option, raw_topic_doubt, transport_option
 from keymint.command_line.verb import Report, Run, argument, findings_if, option, verb
 from keymint.names import name_of
 from keymint.output.json import Typed, decision_json, edge_json, place_json, verdict_json
@@ -73,7 +73,9 @@ def why(
     asked = (name_of(explanation.edge.subject),) if explanation.installed and explanation.packaged else ()
     diagnostics = [*differences(session, asked), *_mismatches(explanation, granted)]
     result = _document(explanation, run.typed)
-    return run.report(result, diagnostics, findings_if(diagnostics), workspace=session.workspace)
+    allowed, wanted = explanation.policy.allowed, explanation.edge.object
+    doubts = () if allowed else raw_topic_doubt(wanted.kind, wanted.name, typed=kind is not None)
+    return run.report(result, (*diagnostics, *doubts), findings_if(diagnostics), workspace=session.workspace)
 
 
 def _mismatches(explanation: Explanation, granted: Sequence[DomainRange]) -> list[Diagnostic]:

@@ -286,7 +286,7 @@ def test_any_encoding_becomes_utf_8(encoding: str) -> None:
         ("<profiles>\n  text</profiles>", "p.xml:1: <profiles> cannot contain text"),
         ("<!DOCTYPE profiles><profiles/>", "p.xml:1: a DOCTYPE is not allowed"),
         ("<tests/>", "p.xml:1: <tests> is not complete, expected <test>"),
-        ("", "p.xml:1: not well-formed XML: no element found"),
+        ("", "p.xml:1: the file is not XML: it is empty"),
     ],
 )
 def test_what_cannot_be_read_is_refused(text: str, message: str) -> None:

@@ -50,7 +50,7 @@ def test_doctype_is_refused_before_it_is_read(text: str, encoding: str) -> None:
         (b"<profiles></profile>", "xml-syntax"),
         (b"<profiles>&x;</profiles>", "xml-syntax"),
         (b"<profiles>\x00</profiles>", "xml-syntax"),
-        (b"<profiles>\xff</profiles>", "xml-syntax"),
+        (b"<profiles>\xff</profiles>", "xml-encoding"),
         (b"\x7fELF", "xml-syntax"),
         (b"<?xml version='1.0' encoding='utf-7'?><profiles/>", "xml-encoding"),
         (b"<?xml version='1.0' encoding='no-such'?><profiles/>", "xml-encoding"),

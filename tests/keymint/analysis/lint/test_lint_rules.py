@@ -97,9 +97,21 @@ def test_similar_names(tmp_path: Path, published: str, subscribed: str, near: bo
     assert found(tmp_path, *policy) == ([("name-similar", 3)] if near else [])
 
 
-def test_a_name_with_a_peer_is_not_a_typo_target(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("published", "is_slip"),
+    [("/chater", True), ("/chattre", True), ("/chattter", True), ("/chatted", False), ("/chatters2", False)],
+)
+def test_a_name_with_a_peer_is_meant_only_by_a_slip(tmp_path: Path, published: str, is_slip: bool) -> None:
     both = profile("/c", rule("ros_topic", "ros_publish ros_subscribe", "/chatter"))
-    assert found(tmp_path, both, profile("/a", rule(*PUB, "/chater"))) == []
+    expected = [("name-similar", 6)] if is_slip else []
+    assert found(tmp_path, both, profile("/a", rule(*PUB, published))) == expected
+
+
+def test_of_similar_names_both_are_offered_since_either_may_be_the_typo(tmp_path: Path) -> None:
+    policy = profile("/a", rule(*PUB, "/image")), profile("/b", rule("ros_topic", "ros_subscribe", "/imgae"))
+    (said,) = lint(loaded(tmp_path, *policy))
+    assert (str(said.where), f"{tmp_path}/policy.xml:6" in said.message) == (f"{tmp_path}/policy.xml:3", True)
+    assert "'/image' or '/imgae'" in said.help
 
 
 SUB = "ros_topic", "ros_subscribe"

@@ -175,9 +175,10 @@ class TestNamed:
     def test_what_began_today_is_not_renewed_again(self, keymint: Callable, ws: Path, options: tuple[str, ...]) -> None:
         before = enclave(ws, "talker")
         outcome = keymint("renew", "talker", *options, cwd=ws)
-        stays = "/talker stays as it is: a renewal would give it the dates that it has"
+        stays = "/talker: nothing to renew: a new certificate would have the same dates"
         assert (outcome.code, outcome.out.splitlines()[0]) == (0, f"{stays}; in force until 2028-01-14T00:00:00Z")
         assert "renewed" not in outcome.out
+        assert "updated" not in outcome.out
         result = keymint("renew", "talker", "--json", *options, cwd=ws).document["result"]
         assert (result["renewed"], result["unchanged"]) == ([], ["/talker"])
         assert enclave(ws, "talker") == before

@@ -49,6 +49,37 @@ def test_answers_on_the_fleet(keymint, question: str, code: int, said: str) -> N
     assert keymint("query", FLEET, question).out == outcome.out
 
 
+@pytest.mark.parametrize(
+    ("question", "message", "help_"),
+    [
+        ("who can publish /robot1/cmd_ve", "no rule is about '/robot1/cmd_ve'", "did you mean '/robot1/cmd_vel'?"),
+        ("can /robot1/base subscribe /robot1/cmd_vle", "no rule is about", "did you mean '/robot1/cmd_vel'?"),
+        (
+            "who can publish /robot1/navigate",
+            "'/robot1/navigate' is the name of a ros_action",
+            "ros_request and ros_op",
+        ),
+        ("who can publish robot1/cmd_vel", "is read as a raw topic", "did you mean '/robot1/cmd_vel'?"),
+        ("can /robot1/bas subscribe /robot1/cmd_vel", "no profile of the policy applies to /robot1/bas", ""),
+    ],
+)
+def test_an_object_that_is_misspelt(keymint, question: str, message: str, help_: str) -> None:
+    outcome = keymint("query", FLEET, question, "--json")
+    (said,) = outcome.document["diagnostics"]
+    assert message in said["message"]
+    assert help_ in (said["help"] or "")
+    assert outcome.code == 0
+
+
+@pytest.mark.parametrize("question", ["who can publish /elsewhere", "who can publish /robot1/private/x"])
+def test_an_object_that_is_like_no_other_is_not_doubted(keymint, question: str) -> None:
+    assert keymint("query", FLEET, question, "--json").document["diagnostics"] == []
+
+
+def test_a_subject_that_is_misspelt(keymint) -> None:
+    assert "did you mean '/robot1/base'?" in keymint("query", FLEET, "what can /robot1/bas do").out
+
+
 def test_infrastructure_counts_if_asked(keymint) -> None:
     outcome = keymint("query", FLEET, "isolated", "/robot1/*", "/robot2/*", "--infrastructure")
     assert outcome.code == 3
