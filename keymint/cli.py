@@ -289,7 +289,20 @@ def setting(
         ask=ask,
         agrees=agrees,
         read=read,
+        who=_who,
     )
+
+
+def _who() -> tuple[str, str]:
+    """Return the names of the user and of this host; of a user that ``sudo`` made another one, both names."""
+    import pwd  # noqa: PLC0415 - only runs that write need it
+
+    try:
+        user = pwd.getpwuid(os.geteuid()).pw_name
+    except KeyError:  # e.g. in a container
+        user = str(os.geteuid())
+    before = os.environ.get("SUDO_USER", "")
+    return (f"{user} (sudo of {before})" if before and before != user else user), os.uname().nodename
 
 
 def _ask(text: str) -> str:

@@ -41,6 +41,7 @@ class IssuedCertificate:
         rights: digest of the package's unsigned documents, which were signed last.
         revoked: when it was revoked, UTC; None if it was not.
         reason: why, one of :data:`REASONS`; empty if it was not revoked.
+        issued: when it was issued, UTC; None if that is not known, e.g. of one that an earlier version issued.
     """
 
     issuer: str
@@ -54,6 +55,7 @@ class IssuedCertificate:
     rights: str = ""
     revoked: datetime | None = None
     reason: str = ""
+    issued: datetime | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,11 +172,13 @@ class Register:
     # -- changes -------------------------------------------------------------------------------------------------
 
     def with_issued(self, issued: Iterable[IssuedCertificate]) -> Register:
-        """Return the register with more certificates; what is known of a certificate's revocation stays."""
+        """Return the register with more certificates; what is known of a certificate's issue and revocation stays."""
         certificates = dict(self.certificates)
         for each in issued:
             known = certificates.get((each.issuer, each.serial))
-            new = replace(each, revoked=known.revoked, reason=known.reason) if known and known.revoked else each
+            new = each if known is None or each.issued == known.issued else replace(each, issued=known.issued)
+            if known and known.revoked:
+                new = replace(new, revoked=known.revoked, reason=known.reason)
             certificates[each.issuer, each.serial] = new
         return replace(self, certificates=certificates)
 
@@ -232,9 +236,11 @@ def _grouped(pairs: Iterable[tuple[str, IssuedCertificate]]) -> Mapping[str, tup
 # -- its file -------------------------------------------------------------------------------------------------------
 
 _APPLICATION = 0x4B594D54  # "KYMT", for file(1)
-_VERSION = 2
+_VERSION = 3
 _WITHOUT_RIGHTS = 1
 """The version that had no signed documents."""
+_SINCE = {"issued": 3}
+"""The versions that have a column which earlier ones lack."""
 _MAX_NUMBER = 1 << 62
 _WAL = b"\2\2"
 """The header's versions of a database in write-ahead mode (SQLite file format, 1.3.3)."""
@@ -278,7 +284,7 @@ def loaded_register(content: bytes, where: Origin) -> Register:
                 content = content[:18] + b"\1\1" + content[20:]
             database.deserialize(content)
             (version,) = database.execute("PRAGMA user_version").fetchone()
-            if version not in (_WITHOUT_RIGHTS, _VERSION):
+            if not _WITHOUT_RIGHTS <= version <= _VERSION:
                 raise KeymintError(
                     f"is a register of version {version}, expected {_VERSION}",
                     where=where,
@@ -287,7 +293,7 @@ def loaded_register(content: bytes, where: Origin) -> Register:
                 )
             if database.execute("PRAGMA quick_check").fetchone() != ("ok",):
                 raise register_error(where)
-            issued = _entries(database, "certificates")
+            issued = _entries(database, "certificates", version)
             if any(
                 each.generation < 0 or (each.revoked is None) != (not each.reason) or each.reason not in ("", *REASONS)
                 for each in issued
@@ -295,8 +301,8 @@ def loaded_register(content: bytes, where: Origin) -> Register:
                 raise register_error(where)
             numbers, bundles = (dict(map(_numbered, database.execute(f"SELECT * FROM {name}"))) for name in _NUMBERED)  # noqa: S608 - constants
             signed, is_whole = (), False
-            if version == _VERSION:
-                signed = _entries(database, "rights")
+            if version > _WITHOUT_RIGHTS:
+                signed = _entries(database, "rights", version)
                 ((is_whole,),) = database.execute("SELECT is_whole FROM history").fetchall()
     except (sqlite3.Error, ValueError, TypeError, OverflowError):
         raise register_error(where) from None
@@ -304,14 +310,14 @@ def loaded_register(content: bytes, where: Origin) -> Register:
     return Register(known, numbers, bundles, signed, is_whole == 1)
 
 
-def _entries(database: Any, table: str) -> tuple[Any, ...]:
+def _entries(database: Any, table: str, version: int) -> tuple[Any, ...]:
     """Return the entries of a table.
 
     Raises:
         TypeError: a value is not one that :func:`register_file` writes.
         ValueError: the same.
     """
-    own = fields(_TABLES[table])
+    own = [each for each in fields(_TABLES[table]) if _SINCE.get(each.name, 0) <= version]
     rows = database.execute(f"SELECT {', '.join(each.name for each in own)} FROM {table} ORDER BY number")  # noqa: S608 - constants
     return tuple(_TABLES[table](*map(_value, own, row)) for row in rows)
 

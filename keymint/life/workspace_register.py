@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from datetime import datetime
 from functools import lru_cache
 
 from cryptography import x509
@@ -133,7 +134,13 @@ def issuer_of(authority: x509.Certificate) -> str:
 
 
 def entry_of(
-    certificate: x509.Certificate, issuer: str, authority: str, name: str, generation: int, rights: str = ""
+    certificate: x509.Certificate,
+    issuer: str,
+    authority: str,
+    name: str,
+    generation: int,
+    rights: str = "",
+    issued: datetime | None = None,
 ) -> IssuedCertificate:
     """Return the entry of a certificate for the register.
 
@@ -144,10 +151,11 @@ def entry_of(
         name: the package.
         generation: its generation.
         rights: digest of the package's documents; empty if it is not known.
+        issued: when it was issued; None if that is not known.
     """
     serial, key = certificate.serial_number, certificates.fingerprint(certificate)
     period = certificates.period(certificate)
-    return IssuedCertificate(issuer, serial, authority, name, generation, *period, key, rights)
+    return IssuedCertificate(issuer, serial, authority, name, generation, *period, key, rights, issued=issued)
 
 
 def _restored(session: Session, *, lossy: bool) -> Register:

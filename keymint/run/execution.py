@@ -332,7 +332,13 @@ def open_store(workspace: Workspace) -> Store:
 
 
 def execute(
-    plan: Plan, inputs: Inputs, store: Store, workers: Workers, on_step: Callable[[Step], None], intent: Journal
+    plan: Plan,
+    inputs: Inputs,
+    store: Store,
+    workers: Workers,
+    on_step: Callable[[Step], None],
+    intent: Journal,
+    log: Sequence[FolderChange] = (),
 ) -> int:
     """Carry out a plan.
 
@@ -343,6 +349,7 @@ def execute(
         workers: the processes that hold a part of what is written.
         on_step: called for every step, after all of them.
         intent: what the run was asked for.
+        log: what adds the run to the log.
 
     Returns:
         The clock of the file system before anything became visible.
@@ -357,7 +364,7 @@ def execute(
         for guard in guards:  # before the first secret is written
             store.change([guard])
         # The record of a large fleet is made when all else is staged.
-        staged = _staged(plan, lambda: FolderChange(folder, {RECORD: File(plan.state.dump())}), store, workers)
+        staged = _staged(plan, lambda: (*log, FolderChange(folder, {RECORD: File(plan.state.dump())})), store, workers)
         visible = clock(folder)
         store.commit(staged)
     else:
@@ -390,17 +397,19 @@ def require_register(plan: Plan, inputs: Inputs) -> None:
         )
 
 
-def _staged(plan: Plan, record: Callable[[], FolderChange], store: Store, workers: Workers) -> Sequence[Exchange]:
+def _staged(
+    plan: Plan, record: Callable[[], Iterable[FolderChange]], store: Store, workers: Workers
+) -> Sequence[Exchange]:
     """Stage a plan and its record. What other processes hold comes before what is removed."""
     if not any(change.held for change in plan.changes()):
-        return store.stage((*plan.changes(), record()))
+        return store.stage((*plan.changes(), *record()))
     removals = Plan(tuple(step for step in plan.steps if step.action is Action.REMOVED), plan.state)
     others = replace(plan, steps=tuple(step for step in plan.steps if step.action is not Action.REMOVED))
     staged: list[Exchange] = []
     try:
         staged += store.stage(others.changes())
         staged += workers.stage(store)
-        staged += store.stage((*removals.changes(), record()))
+        staged += store.stage((*removals.changes(), *record()))
     except BaseException:
         store.discard(staged)
         raise

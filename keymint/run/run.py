@@ -26,6 +26,7 @@ from keymint.output.console import Console, Streams
 from keymint.output.report import Report, merged_diagnostics
 from keymint.pki.tokens.token_sessions import Tokens
 from keymint.run.execution import RECORD, Workers, execute, open_store, record_answer, remember, require_register
+from keymint.run.run_log import log_change
 from keymint.store.changes import File, Plan, Step
 from keymint.store.journal import Journal, intent_of
 from keymint.store.store import LOCK, clock, path_lock
@@ -54,6 +55,7 @@ class Setting:
         agrees: shows a question and returns whether the user types yes; None unless both standard input and standard
             error are terminals.
         read: returns at most so many bytes of standard input.
+        who: returns the names of the user and of the host, for the log of runs.
     """
 
     now: datetime
@@ -67,6 +69,7 @@ class Setting:
     ask: Callable[[str], str] | None = None
     agrees: Callable[[str], bool] | None = None
     read: Callable[[int], bytes] = lambda _most: b""
+    who: Callable[[], tuple[str, str]] = lambda: ("", "")
 
 
 _T = TypeVar("_T")
@@ -376,9 +379,12 @@ class Run:
             inputs, plan, sight = planned
             require_register(plan, inputs)
             guards = missing_gitignores(workspace, plan)
+            intent = self.intent()
+            who = self.setting.who() if plan.writes() else ("", "")
+            log = log_change(inputs, plan, self.verb, intent.command, who, self.setting.now)
             with self.console.progress(len(plan.steps), self.setting.monotonic) as advance:
-                visible = execute(plan, inputs, store, self.crew, advance, self.intent())
-            changes = itertools.chain(guards, plan.changes())
+                visible = execute(plan, inputs, store, self.crew, advance, intent, log)
+            changes = itertools.chain(guards, plan.changes(), log)
             names = ((str(each.folder), each.written, each.removed) for each in changes)
             seen = sight.after(names, visible, clock(workspace.state))
             report = self.report({}, plan.diagnostics, exit_code(plan), workspace=workspace, steps=plan.steps)

@@ -187,7 +187,7 @@ def sign(
     register = register_of(session)
     _require_generation(session, package, register)
     pem, public = key
-    certificate = _going_on(package, public, issuer.certificate, existing.get(CERTIFICATE), register)
+    going_on = certificate = _going_on(package, public, issuer.certificate, existing.get(CERTIFICATE), register)
     warnings: Sequence[Diagnostic] = ()
     if certificate is not None:
         loaded = certificates.load(certificate)
@@ -219,7 +219,8 @@ def sign(
             raise KeymintError.of(conflicts)
         artifacts |= own
     identity, generation, rights = package.identity, package.issuance.generation, digest_files(documents)
-    entry = entry_of(loaded, issuer_of(issuer.certificate), identity.issuer, package.name, generation, rights)
+    issuer_key, now = issuer_of(issuer.certificate), session.now if going_on is None else None
+    entry = entry_of(loaded, issuer_key, identity.issuer, package.name, generation, rights, now)
     return artifacts, entry, warnings
 
 

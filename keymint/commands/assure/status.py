@@ -13,7 +13,7 @@ import click
 from comarmor.errors import Diagnostic
 from keymint.api import LoadedPolicy
 from keymint.command_line.options import strict_option
-from keymint.command_line.verb import Report, Run, findings_if, option, verb
+from keymint.command_line.verb import Report, Run, findings_if, flag, option, verb
 from keymint.errors import KeymintError
 from keymint.examine.authorities import elsewhere, exposed_keys
 from keymint.examine.keystore import not_examined
@@ -22,9 +22,11 @@ from keymint.life.terms import days_left
 from keymint.output.console import Console
 from keymint.output.openmetrics import gauges, openmetrics
 from keymint.output.report import members
+from keymint.run.run_log import logged_runs
 from keymint.stages.create import packages_to_create
 from keymint.stages.package_status import StatusRow, package_rows, shared_rows
 from keymint.stages.proof.proof_results import ProofEffort
+from keymint.view.tree import Tree
 from keymint.workspace.policy_loading import lazy_policy
 from keymint.workspace.session import Session
 
@@ -40,12 +42,15 @@ def status(
         help="openmetrics: dates in seconds since 1970, for a monitor such as Prometheus.",
     ),
     strict: bool = strict_option,
+    log: bool = flag("Show what each run that wrote here did: when, who, which version; the latest last."),
 ) -> Report:
     """Show a table of all packages: the stage, whether it is stale, when it expires, and when to renew it.
 
     RENEW AFTER is from when on 'keymint renew' takes it up; 'with CA' means that it ends with this authority, which
     must be renewed before.
     """
+    if log:
+        return _log(run)
     session = run.session(auditing=True)
     diagnostics: list[Diagnostic] = []
     missing: list[str] = []
@@ -85,6 +90,26 @@ def status(
     if not diagnostics:
         run.remember(session, _changes([*rows, *shared], session.now), report, show)
     return report
+
+
+def _log(run: Run) -> Report:
+    """Show the runs that are on record."""
+    workspace = run.workspace()
+    runs = logged_runs(Tree(), workspace)
+    rows = [
+        {
+            **each,
+            "at": f"{each['at']:%Y-%m-%d %H:%M}Z",
+            "who": f"{each['user']}@{each['host']}",
+            "did": f"{', '.join(f'{number} {action}' for action, number in each['steps'].items())}: {each['command']}",
+        }
+        for each in runs
+    ]
+    if runs:
+        run.console.table({"WHEN": "at", "WHO": "who", "VERSION": "version", "WHAT": "did"}, rows)
+    else:
+        run.console.line("no run that wrote is on record")
+    return run.report({"runs": runs}, workspace=workspace)
 
 
 def _changes(rows: Sequence[StatusRow], now: datetime) -> Iterator[datetime]:

@@ -46,9 +46,9 @@ def issued_certificates(
         if (not chosen or each.name in chosen) and (each.revoked or not revoked)
     ]
     documents = [certificate_json(each) for each in entries]
-    columns = {"SUBJECT": "subject", "GENERATION": "generation", "SERIAL": "serial", "NOT AFTER": "not_after"}
+    columns = {"SUBJECT": "subject", "GENERATION": "generation", "SERIAL": "serial", "ISSUED": "issued"}
     rows = [each | {"state": _state(each, session.now)} for each in documents]
-    run.console.table(columns | {"STATE": "state"}, rows)
+    run.console.table(columns | {"NOT AFTER": "not_after", "STATE": "state"}, rows)
     if not rows:
         run.console.line("no certificates")
     return run.report({"certificates": documents}, workspace=session.workspace)
@@ -60,7 +60,7 @@ def certificate_json(each: IssuedCertificate) -> dict[str, Any]:
         "serial": f"{each.serial:x}",
         "authority": each.authority,
         "subject": subject_of(each.name) if each.name else None,
-        **members(each, "generation", "not_before", "not_after", "key", "rights", "revoked", "reason"),
+        **members(each, "generation", "issued", "not_before", "not_after", "key", "rights", "revoked", "reason"),
     }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import sqlite3
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -27,7 +28,7 @@ def entries(draw: st.DrawFn) -> IssuedCertificate:
     revoked, reason = draw(revocations)
     return IssuedCertificate(
         draw(texts), draw(st.integers(1, 2**159)), draw(texts), draw(texts), draw(st.integers(0, 10**9)),
-        draw(moments), draw(moments), draw(texts), draw(texts), revoked, reason,
+        draw(moments), draw(moments), draw(texts), draw(texts), revoked, reason, draw(st.none() | moments),
     )  # fmt: skip
 
 
@@ -44,7 +45,8 @@ def test_round_trip(issued: list[IssuedCertificate], lists: dict[str, int], bund
     assert register_file(read) == content
 
 
-ONE = IssuedCertificate("a" * 64, 7, "ca", "talker", 0, *2 * (datetime(2027, 1, 1, tzinfo=UTC),), "b" * 64)
+NOW = datetime(2027, 1, 1, tzinfo=UTC)
+ONE = IssuedCertificate("a" * 64, 7, "ca", "talker", 0, NOW, NOW, "b" * 64, issued=NOW)
 FILE = register_file(Register().with_issued([ONE]).with_number(ONE.issuer, 3))
 
 
@@ -93,9 +95,17 @@ def test_a_tool_that_looked_into_it_may_leave_its_mode(tmp_path: Path) -> None:
     assert loaded_register(path.read_bytes(), WHERE) == register
 
 
+def test_a_file_without_the_time_of_issue_is_read() -> None:
+    with contextlib.closing(sqlite3.connect(":memory:")) as connection:
+        connection.deserialize(changed("PRAGMA user_version = 2"))
+        connection.execute("ALTER TABLE certificates DROP COLUMN issued")
+        content = connection.serialize()
+    assert loaded_register(content, WHERE).certificates[ONE.issuer, ONE.serial] == replace(ONE, issued=None)
+
+
 def test_a_later_version() -> None:
-    with pytest.raises(KeymintError, match="version 3, expected 2"):
-        loaded_register(changed("PRAGMA user_version = 3"), WHERE)
+    with pytest.raises(KeymintError, match="version 4, expected 3"):
+        loaded_register(changed("PRAGMA user_version = 4"), WHERE)
 
 
 @given(st.integers(0, len(FILE) - 1), st.integers(1, 255))

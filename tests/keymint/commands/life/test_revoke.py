@@ -171,7 +171,7 @@ def test_the_register_is_restored_from_what_is_installed(provisioned: Path, keym
     before = keymint("issued", "--json", cwd=provisioned).document["result"]["certificates"]
     register.unlink()
     after = keymint("issued", "--json", cwd=provisioned).document["result"]["certificates"]
-    unknown = {"rights": None}
+    unknown = {"rights": None, "issued": None}
     assert [each | unknown for each in after] == [each | unknown for each in before]
     assert keymint("revoke", "talker", "--reason", "superseded", cwd=provisioned).code == 0
 

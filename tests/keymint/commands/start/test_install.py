@@ -46,7 +46,9 @@ def test_modes_whatever_the_umask(keymint, policy: Path, tmp_path: Path) -> None
             mode = path.stat().st_mode & 0o777
             relative = path.relative_to(tmp_path / f"ws{umask}")
             if path.is_file():
-                assert mode == (0o600 if path.name.endswith(("key.pem", "register.sqlite3")) else 0o644), relative
+                assert mode == (
+                    0o600 if path.name.endswith(("key.pem", "register.sqlite3", "runs.jsonl")) else 0o644
+                ), relative
             elif relative.parts[0] == "private" or (path / "key.pem").exists():
                 assert mode == 0o700, relative
             else:
