@@ -65,6 +65,8 @@ lock: setup
 	$(BIN)/python -m pip install --quiet uv
 	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header --no-annotate \
 		--no-emit-index-url --extra dev --extra pkcs11 --extra zenoh pyproject.toml -o requirements.lock
+	echo hatchling | $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header \
+		--no-annotate --no-emit-index-url --extra pkcs11 --extra png -c requirements.lock pyproject.toml - -o image.lock
 
 clean:
 	rm -rf $(VENV) $(DEMO) $(ZENOH_DEMO)

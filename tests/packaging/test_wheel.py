@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import sys
 import tarfile
 import tomllib
 import zipfile
@@ -15,7 +16,7 @@ import pytest
 
 import keymint
 
-from .conftest import Environment, run
+from .conftest import Environment, build, run
 
 pytestmark = pytest.mark.xdist_group("packaging")
 
@@ -143,3 +144,13 @@ def test_an_incomplete_installation_is_reported(installed: Environment, tmp_path
     finally:
         schemas.with_name("gone").rename(schemas)
     assert "lacks the schemas of keymint_ros; reinstall Keymint from its checkout or wheel" in said
+
+
+def test_the_distributions_are_built_reproducibly(project: Path, dist: Path, tmp_path: Path) -> None:
+    build(project, tmp_path)
+    assert tree(tmp_path) == {path.name: path.read_bytes() for path in dist.glob("*.*")}
+
+
+def test_an_index_takes_the_distributions(dist: Path) -> None:
+    done = run([sys.executable, "-m", "twine", "check", "--strict", *dist.glob("*.*")], dist)
+    assert done.returncode == 0, done.stdout + done.stderr
