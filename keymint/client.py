@@ -26,6 +26,7 @@ from comarmor.errors import Diagnostic, Severity
 from comarmor.values import dataclass
 from keymint import cli
 from keymint.api import LoadedPolicy
+from keymint.command_line.options import Names
 from keymint.errors import KeymintError, UnconfirmedError
 from keymint.life.terms import DEFAULT, Threshold
 from keymint.names import package_name, subject_of
@@ -168,7 +169,7 @@ class Client:
             KeymintError: what it reports as errors.
         """
         run = self._run(command.name, *subjects, *map(repr, sorted(options.items())))
-        report: Report = inspect.unwrap(command.callback)(run, names=tuple(subjects), **options)
+        report: Report = inspect.unwrap(command.callback)(run, names=Names(tuple(subjects), None), **options)
         if failures := [each for each in report.diagnostics if each.severity is Severity.ERROR]:
             raise KeymintError.of(failures)
         return report

@@ -18,7 +18,7 @@ from keymint.cli import VERBS, cli
 CHECKOUT = Path(__file__).resolve().parent.parent
 SOURCES = sorted(path for room in ("comarmor", "keymint", "plugins") for path in (CHECKOUT / room).rglob("*.py"))
 DOCUMENTS = [*CHECKOUT.glob("*.md"), *(CHECKOUT / "docs").glob("*.md"), *(CHECKOUT / "docs/adr").glob("*.md")]
-CONSEQUENTIAL = ("--renew", "--prune", "--new-authority")
+CONSEQUENTIAL = ("--rekey", "--prune", "--new-authority")
 """Options that replace or remove something for good: advice names them with their verb only."""
 
 COMMAND = re.compile(r"(?<![\w/.-])keymint +(?P<verb>[a-z]+)(?P<rest>[^'`\n;&|)#]*)")
@@ -93,7 +93,7 @@ def wrong(text: str) -> Iterator[str]:
         ("'keymint isntall' does it", ["no verb 'isntall'"]),
         ("mint it with 'keymint install --renew'", ["no --renew of 'install'"]),
         ("mint it with --renow", ["no --renow"]),
-        ("'keymint build --renew X', or restore it", []),
+        ("'keymint build --rekey X', or restore it", []),
         ("'keymint build -f X' discards it", []),
         ("'keymint build -x X' discards it", ["no -x of 'build'"]),
         ("'keymint authority renew X --flag-day' does it", []),

@@ -38,7 +38,7 @@ WRITING_VERBS = (
     ("create", "--all", "-w", "ws"),
     ("build", "-w", "ws"),
     ("install", "-w", "ws"),
-    ("build", "-w", "ws", "--renew", "talker"),
+    ("build", "-w", "ws", "--rekey", "talker"),
     ("install", "-w", "ws", "--json"),
     ("install", "-w", "ws"),
     ("request", "talker", "--folder", "robot"),

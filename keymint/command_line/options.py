@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Iterable
 from datetime import timedelta
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -15,13 +15,17 @@ from comarmor.errors import Diagnostic
 from comarmor.regex import lazy_regex
 from comarmor.rules import PERMISSIONS, RAW_PREFIXES
 from comarmor.values import dataclass
-from keymint.command_line.verb import argument, flag, option, option_group, path_option, plugin
+from keymint.command_line.verb import FILE, argument, flag, option, option_group, path_option, plugin
 from keymint.errors import KeymintError
 from keymint.life.terms import Threshold
 from keymint.names import RAW
 from keymint.stages.work import InstallRequest
 from keymint.view.tree import Tree
 from keymint.workspace.workspace import Workspace, find, packages
+
+if TYPE_CHECKING:
+    from keymint.command_line.named_packages import Selection
+    from keymint.run.run import Run
 
 DEFAULT_PROFILE_TYPE = "keymint_ros"
 
@@ -41,7 +45,54 @@ def _completed(context: click.Context, incomplete: str, names: Callable[[Workspa
         return []
 
 
-packages_argument = argument(nargs=-1, metavar="[NAME]...", shell_complete=complete_package)
+@dataclass(frozen=True, slots=True)
+class Names:
+    """What a command line names; false if it names nothing, which means all packages.
+
+    Attributes:
+        given: names, and patterns as policies have them.
+        listed: a file with more of them.
+        state: only packages in this state, of those that are named, else of all.
+    """
+
+    given: tuple[str, ...]
+    listed: Path | None
+    state: str | None = None
+
+    def __bool__(self) -> bool:
+        return bool(self.given or self.listed or self.state)
+
+    def selection(self, run: Run) -> Selection:
+        """Return the names and patterns; errors as :func:`keymint.command_line.named_packages.selection_of`."""
+        from keymint.command_line.named_packages import selection_of  # noqa: PLC0415 - not needed for 'provision'
+
+        return selection_of(run, self.given, self.listed, self.state)
+
+
+def names_group(word: str = "NAME", *, required: bool = False, state: bool = True) -> Any:
+    """Return the default of an argument of a verb that are the packages which the command line names.
+
+    Args:
+        word: what the help page calls one.
+        required: the verb does nothing to all packages unless somebody says so.
+        state: ``--state`` may choose among them.
+    """
+
+    def check(names: Names) -> None:
+        if required and not names:
+            raise click.UsageError(f"Missing argument '{word}...': a name, a pattern such as '/r0/*', or --from FILE.")
+
+    listed = "Also what this file names: a name or pattern a line; '#' begins a comment ['-': standard input]."
+    states = "Only packages that are due for renewal, stale (sources or policy changed), or revoked."
+    return option_group(
+        Names,
+        check,
+        given=argument(nargs=-1, metavar=f"{word}..." if required else f"[{word}]...", shell_complete=complete_package),
+        listed=path_option(listed, "--from", kind=FILE),
+        **({"state": option(type=click.Choice(("due", "stale", "revoked")), help=states)} if state else {}),
+    )
+
+
 force_option = flag("Replace an existing file with different content.", "-f")
 
 
@@ -184,7 +235,17 @@ class DocumentOptions:
 
 
 document_options = option_group(DocumentOptions)
-renew_option = flag("Replace private keys; by default keys are kept.")
+
+
+def _refuse_renew(_context: click.Context, _parameter: click.Parameter, given: bool) -> None:
+    if given:
+        raise click.UsageError(
+            "--renew is called --rekey now: it replaces the private keys of packages that you name. 'keymint renew' "
+            "renews certificates, and keeps keys."
+        )
+
+
+former_renew_option = click.option("--renew", is_flag=True, hidden=True, expose_value=False, callback=_refuse_renew)
 prove_option = option(
     "--prove/--no-prove",
     default=True,

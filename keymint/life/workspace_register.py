@@ -57,15 +57,15 @@ def withdrawn(session: Session) -> Mapping[str, str]:
     return {name: reason for name, reason in found.items() if reason}
 
 
-def with_enclaves(session: Session, names: Sequence[str], given: Collection[str]) -> tuple[str, ...]:
+def with_enclaves(session: Session, names: Sequence[str], *, named: bool) -> tuple[str, ...]:
     """Return packages without those whose certificate was revoked and whose enclave is gone, unless a user named them.
 
     Args:
         session: the workspace and its profile.
         names: the packages.
-        given: the packages that a user named; empty for all.
+        named: a user named them; else they are all that there are.
     """
-    return tuple(names) if given else tuple(name for name in names if name not in withdrawn(session))
+    return tuple(names) if named else tuple(name for name in names if name not in withdrawn(session))
 
 
 def complete_register(session: Session, names: Collection[str] = (), *, lossy: bool = False) -> Register:

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from comarmor.errors import Diagnostic, Origin, Severity, citation
-from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint import SPACES
 from keymint.api import Environment
@@ -21,7 +20,6 @@ from keymint.api.plugin_loader import Plugins
 from keymint.errors import ExitCode, KeymintError, UnconfirmedError
 from keymint.host.pool import Pool
 from keymint.host.streams_and_signals import StoppedError, received_signal
-from keymint.names import package_name
 from keymint.output.console import Console, Streams
 from keymint.output.report import Report, merged_diagnostics
 from keymint.pki.tokens.token_sessions import Tokens
@@ -35,7 +33,7 @@ from keymint.view.stamps import MAX_RECORD, State
 from keymint.view.stamps import load as load_state
 from keymint.view.tree import HeldError, Tree, read_file
 from keymint.workspace.session import Inputs, Session
-from keymint.workspace.workspace import Workspace, find, missing_gitignores, packages, shown_path
+from keymint.workspace.workspace import Workspace, find, missing_gitignores, shown_path
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,25 +207,6 @@ class Run:
                 :func:`keymint.examine.keystore.not_examined`.
         """
         return self.snapshot(self.workspace(), auditing=auditing).session()
-
-    def names(self, inputs: Inputs, given: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the packages that a user named, or all packages.
-
-        Raises:
-            KeymintError: a name is illegal, or is not a package of the workspace.
-        """
-        known = packages(inputs.tree, inputs.workspace.src)
-        if not given:
-            return known
-        names = tuple(dict.fromkeys(package_name(name) for name in given))
-        for name in names:
-            if name not in known:
-                raise KeymintError(
-                    f"no package {name!r} in {inputs.workspace.shown(inputs.workspace.src)}",
-                    help=did_you_mean(name, known, f"'keymint create {name}' makes it"),
-                    code="package-unknown",
-                )
-        return names
 
     @property
     def pool(self) -> Pool:

@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
 from comarmor.errors import Defects, Diagnostic, Origin
+from comarmor.text import quantity
 from keymint.api import BuildOptions, BuildResult, LoadedPolicy, Package
 from keymint.errors import KeymintError
 from keymint.life import terms
@@ -61,8 +62,8 @@ class BuildStage(PackageStage):
         """Return the plan for a package."""
         subject = subject_of(name)
         try:
-            renew = self._asked.renew and name not in self._followers
-            plan = _plan_documents(self._session, name, self._options_of(name), force=self._asked.force, renew=renew)
+            rekey = name in self._asked.rekey and name not in self._followers
+            plan = _plan_documents(self._session, name, self._options_of(name), force=self._asked.force, rekey=rekey)
         except KeymintError as error:
             return PackagePlan(name, errors=self._in_policy(error.diagnostics, subject))
         return replace(plan, diagnostics=self._in_policy(plan.diagnostics, subject))
@@ -75,6 +76,7 @@ class BuildStage(PackageStage):
         session, steps = self._session, steps_of(planned)
         # Packages repeat the diagnostics of their authority: keep one of each.
         diagnostics = dict.fromkeys(diagnostic for each in planned for diagnostic in each.diagnostics)
+        diagnostics |= dict.fromkeys(self._replaced_keys(planned))
         diagnostics |= dict.fromkeys(terms.of_sources({each.name: each.lifetimes for each in planned}, session))
         built = replace(session, state=state_after(session.state, STAGE, planned))
         try:
@@ -88,6 +90,15 @@ class BuildStage(PackageStage):
             help_ = f"write <layout>{own.layout}</layout><distro>{own.distro}</distro> into <export>, or what they have"
             diagnostics[Diagnostic.warning("distro-unnamed", message, session.profile_marker(), help_)] = None
         return Plan((*steps, *steps_of(shared)), state_after(built.state, STAGE, shared), tuple(diagnostics))
+
+    def _replaced_keys(self, planned: Sequence[PackagePlan]) -> Iterator[Diagnostic]:
+        """Yield a warning if packages get new keys in place of those that they have."""
+        keys = self._session.workspace.identity_key
+        asked = (each.name for each in planned if each.name in self._asked.rekey)
+        if names := [name for name in asked if self._session.tree.has_file(keys(name))]:
+            message = f"{quantity(len(names), 'private key')} replaced: {', '.join(map(subject_of, names))}"
+            help_ = "deploy and restart what has them; certificates of the former keys end by 'keymint revoke' only"
+            yield Diagnostic.warning("keys-replaced", message, None, help_)
 
     def _in_policy(self, diagnostics: Iterable[Diagnostic], subject: str = "") -> tuple[Diagnostic, ...]:
         """Return diagnostics about built packages with the places that their rules have now.
@@ -137,14 +148,14 @@ def options_of(options: BuildOptions, subject: str) -> BuildOptions:
     return replace(options, hints=tuple(each for each in options.hints if each.edge.subject == subject))
 
 
-def _plan_documents(session: Session, name: str, options: BuildOptions, *, force: bool, renew: bool) -> PackagePlan:
+def _plan_documents(session: Session, name: str, options: BuildOptions, *, force: bool, rekey: bool) -> PackagePlan:
     """Return the plan for a package and its key, or for the documents over all packages of a build type."""
     shared, folder = package_build_types.shared_type(name), documents_folder(session, name)
     options = options if shared else options_of(options, subject_of(name))
     context = digest(repr(options))
     stamp = session.state.stamp(STAGE, name)
     same = stamp is not None and stamp.context == context and package_build_types.is_build_current(session, name)
-    may_stay = same and not force and not renew and (shared or identities.is_there(session, name))
+    may_stay = same and not force and not rekey and (shared or identities.is_there(session, name))
     if stamp and may_stay and (step := kept_documents_step(session, name, stamp)):
         return PackagePlan(name, step, lifetimes=() if shared else terms.recorded_terms(session, name, stamp))
     package = None if shared else session.package(name)
@@ -158,7 +169,7 @@ def _plan_documents(session: Session, name: str, options: BuildOptions, *, force
     files = {file: File(content) for file, content in built.documents.items()}
     written = by_folder(folder, {file: new for file, new in files.items() if file in others})
     changes = (*(FolderChange(*each) for each in written.items()), *removals(session, folder, obsolete))
-    minted, fingerprint = _key(session, package, renew=renew) if package else ((), "")
+    minted, fingerprint = _key(session, package, rekey=rekey) if package else ((), "")
     before = stamp is not None or any(content is not None for content in existing.values())
     action = (Action.UPDATED if before else Action.CREATED) if changes or minted else Action.UNCHANGED
     bytes_of = {file: len(content) for file, content in built.documents.items()}
@@ -191,7 +202,7 @@ def _plan_shared(session: Session, options: BuildOptions, *, force: bool) -> lis
         KeymintError: a package has defects, or packages contradict each other.
     """
     names = [package_build_types.record_key(build_type) for build_type in package_build_types.users(session)]
-    planned = [_plan_documents(session, name, options, force=force, renew=False) for name in names]
+    planned = [_plan_documents(session, name, options, force=force, rekey=False) for name in names]
     writers: dict[str, str] = {}
     for plan in planned:
         own = package_build_types.shared_type(plan.name)
@@ -206,13 +217,13 @@ def _plan_shared(session: Session, options: BuildOptions, *, force: bool) -> lis
     return [*planned, *obsolete_documents(session, STAGE, session.workspace.build / package_build_types.SHARED)]
 
 
-def _key(session: Session, package: Package, *, renew: bool) -> tuple[tuple[FolderChange, ...], str]:
+def _key(session: Session, package: Package, *, rekey: bool) -> tuple[tuple[FolderChange, ...], str]:
     """Return the change that stores a new or restored private key, if one is needed, and its fingerprint.
 
     Raises:
         KeymintError: the stored key cannot be used, or the key to replace is elsewhere.
     """
-    if renew and (package.issuance.public_key or package.identity.key.uri):
+    if rekey and (package.issuance.public_key or package.identity.key.uri):
         raise KeymintError(
             f"the private key of {package.subject} is not here, so no other one is made for it",
             where=place_of(session, package.name),
@@ -221,10 +232,10 @@ def _key(session: Session, package: Package, *, renew: bool) -> tuple[tuple[Fold
         )
     if package.issuance.public_key or identities.is_awaited(package):
         return (), ""  # the private key is on the subject's machine, and none is needed here
-    if not renew and session.tree.read(session.workspace.identity_key(package.name)) is not None:
+    if not rekey and session.tree.read(session.workspace.identity_key(package.name)) is not None:
         identities.public_key(session, package)
         return (), ""
-    change, fingerprint = identities.restore_or_mint(session, package, renew=renew)
+    change, fingerprint = identities.restore_or_mint(session, package, rekey=rekey)
     return (change,), fingerprint
 
 

@@ -117,13 +117,13 @@ def _require_plain(inputs: Inputs, package: Package, pem: bytes = b"") -> None:
     raise KeymintError(message, where=where, help=help_, code="identity-encrypted")
 
 
-def restore_or_mint(session: Session, package: Package, *, renew: bool) -> tuple[FolderChange, str]:
+def restore_or_mint(session: Session, package: Package, *, rekey: bool) -> tuple[FolderChange, str]:
     """Plan the key of a package: the one in its enclave, or a new one if it never had any.
 
     Args:
         session: the workspace and its profile.
         package: the package, which has no key in the workspace, or is to get another one.
-        renew: it is to get a new one.
+        rekey: it is to get a new one.
 
     Returns:
         The change, and the key's fingerprint.
@@ -133,7 +133,7 @@ def restore_or_mint(session: Session, package: Package, *, renew: bool) -> tuple
     """
     _require_plain(session, package)
     path = session.workspace.identity_key(package.name)
-    known = "" if renew else known_fingerprint(session, package.name)
+    known = "" if rekey else known_fingerprint(session, package.name)
     if not known:
         minted = keys.to_pem(keys.generate(package.identity.key, package.identity.origin))
         return secret_file(path, minted), keys.fingerprint_of_file(minted)

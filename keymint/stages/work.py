@@ -30,7 +30,7 @@ class InstallRequest:
 
     Attributes:
         force: discard manual edits.
-        renew: replace the private keys of subjects.
+        rekey: packages that get new private keys.
         prune: remove installed enclaves that have no source package.
         new_authority: authorities that get a new key and certificate.
         prove: refuse what is not proven.
@@ -41,7 +41,7 @@ class InstallRequest:
     """
 
     force: bool = False
-    renew: bool = False
+    rekey: frozenset[str] = frozenset()
     prune: bool = False
     new_authority: tuple[str, ...] = ()
     prove: bool = True
@@ -52,7 +52,7 @@ class InstallRequest:
 
     def resumed(self, *, resumes: bool) -> InstallRequest:
         """Return what is left to do if an interrupted run made the new keys already."""
-        return replace(self, new_authority=(), renew=False) if resumes else self
+        return replace(self, new_authority=(), rekey=frozenset()) if resumes else self
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,7 +35,7 @@ VERBS = ("create", "build", "install", "provision", "status")
 """The verbs whose answers are recorded."""
 _RECORDS, _RECORD, _MARK = ".keymint", "state.json", "running"
 _PROFILE = "profile/keymint_profile.xml"
-_UNRECORDED = ("--hints", "--profile-space", "--new-authority", "--renew", "--force", "-f")
+_UNRECORDED = ("--hints", "--profile-space", "--new-authority", "--rekey", "--from", "--state", "--force", "-f")
 """Options of commands that do something each time, or read more than what is recorded."""
 _VARIABLES = {"ROS_DISTRO", "AMENT_PREFIX_PATH"}
 """Environment variables whose values may be recorded; any other one may be a password."""

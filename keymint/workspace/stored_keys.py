@@ -148,4 +148,4 @@ def key_remedy(name: str) -> str:
 
 def key_renewal(name: str) -> str:
     """Return the command that makes a new key for a package."""
-    return f"'keymint build --renew {name}'"
+    return f"'keymint build --rekey {name}'"

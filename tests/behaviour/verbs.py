@@ -52,7 +52,7 @@ def _renewed(words: tuple[str, ...], s: Steps) -> None:
     s.run("renew", "--threshold", "much", "-w", "ws", days=186)
     s.run("renew", "--rekey", "planner", "-w", "ws", "--json", days=187)
     s.run("renew", "nobody", "-w", "ws", days=187)
-    s.run("build", "--renew", "talker", "-w", "ws", days=188)
+    s.run("build", "--rekey", "talker", "-w", "ws", days=188)
     s.run("install", "-w", "ws", days=188)
     s.both("status", "-w", "ws", days=188)
     s.both("issued", "-w", "ws", days=188)

@@ -88,7 +88,7 @@ _OPTIONS: Mapping[str, tuple[str, ...]] = {
     "verbose": ("-v",),
     "prune": ("--prune",),
     "force": ("-f",),
-    "renew": ("--renew",),
+    "rekey": ("--rekey", "*", "--yes"),
     "superseded": ("--revoke-superseded",),
     "superseded-zenoh": (*_ZENOH, "--revoke-superseded"),
     "new-authority": ("--new-authority", "identity_ca"),

@@ -116,8 +116,8 @@ def _reached(*phases: tuple[str, ...]) -> Callable[[Path], None]:
 SCENARIOS: Mapping[str, Scenario] = {
     "fresh": Scenario((), _nothing, PROVISION),
     "update": Scenario((_nothing,), _change_policy, PROVISION),
-    "renew": Scenario((_nothing,), _nothing, (*PROVISION, "--renew")),
-    "everything": Scenario((_nothing, _change_policy), _change_everything, (*PROVISION, "--renew")),
+    "renew": Scenario((_nothing,), _nothing, (*PROVISION, "--rekey=*", "--yes")),
+    "everything": Scenario((_nothing, _change_policy), _change_everything, (*PROVISION, "--rekey=*", "--yes")),
     "revoke": Scenario((_nothing,), _nothing, ("revoke", "listener", "--reason", "superseded", "-w", "{}/ws")),
     "retire": Scenario((_nothing,), _nothing, ("revoke", "listener", "--reason", "retired", "-w", "{}/ws")),
     "renewal": Scenario((_nothing, _make_older), _nothing, ("renew", "listener", "-w", "{}/ws")),

@@ -143,7 +143,7 @@ COMMANDS: Mapping[str, Struck] = {
     "provision a change": Struck(PROVISION, (PROVISION, narrower)),
     "provision strictly": Struck(f"{PROVISION} --strict", (PROVISION, narrower)),
     "prune": Struck(f"{PROVISION} --prune", (PROVISION, without_listener)),
-    "new keys": Struck(f"{PROVISION} --renew", (PROVISION,)),
+    "new keys": Struck(f"{PROVISION} --rekey=* --yes", (PROVISION,)),
     "create": Struck("create --all" + WS, (PROVISION, narrower), checked=False),
     "build": Struck("build -j 1" + WS, (PROVISION, narrower, "create --all" + WS), checked=False),
     "install": Struck("install -j 1" + WS, (PROVISION, narrower, "create --all" + WS, "build" + WS)),

@@ -114,7 +114,7 @@ _RENEW = """
 import sys
 from keymint import cli
 for _ in range(12):
-    print(cli.main(["provision", sys.argv[1], "-w", sys.argv[2], "--renew", "-q"]), flush=True)
+    print(cli.main(["provision", sys.argv[1], "-w", sys.argv[2], "--rekey=*", "--yes", "-q"]), flush=True)
 """
 
 

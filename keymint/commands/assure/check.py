@@ -13,7 +13,7 @@ import click
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import did_you_mean, quantity
 from keymint.command_line.named_files import write_outputs
-from keymint.command_line.options import packages_argument, period, standard_only_option, strict_option
+from keymint.command_line.options import Names, names_group, period, standard_only_option, strict_option
 from keymint.command_line.verb import FILE, Report, Run, findings_if, flag, option, verb
 from keymint.errors import KeymintError, usage_error
 from keymint.examine.check import check as find
@@ -48,7 +48,7 @@ vendors_option = option(
 @click.option("-j", "--jobs", type=click.IntRange(1, 256), metavar="N", help="Use N processes [all cores].")
 def check(
     run: Run,
-    names: tuple[str, ...] = packages_argument,
+    names: Names = names_group(),
     within: timedelta = option(
         type=period,
         default="0d",
@@ -71,13 +71,14 @@ def check(
     docs/verification.md says in one table what each verb reads.
     Exit code 3: there are findings, or you may not read all of private/. NAME is a package [all].
     """
+    selection = names.selection(run)
     session = run.session(auditing=True)
-    chosen = run.names(session, names)
+    chosen = selection.packages(session)
     findings, state = list(find(session, chosen, within, run.pool)), session.state
     if not no_prove:
         known = {(each.code, each.where and each.where.file) for each in findings}
         effort = ProofEffort(run.setting.monotonic, standard_only=allow_vendor_specific)
-        enclaves = with_enclaves(session, chosen, names)
+        enclaves = with_enclaves(session, chosen, named=bool(names))
         state, found = _proven(session, enclaves, effort, run.pool, fresh=fresh, strict=strict)
         findings += (each for each in found if (each.code, each.where and each.where.file) not in known)
     unexamined = tuple(not_examined(session))

@@ -13,8 +13,8 @@ import click
 from comarmor.errors import Diagnostic
 from comarmor.text import quantity
 from keymint.api import Claim, Counterexample, PolicyDecision, Proof, Verdict
-from keymint.command_line.options import complete_package, standard_only_option, strict_option, vendors_of_option
-from keymint.command_line.verb import Number, Report, Run, argument, findings_exit, findings_if, option, verb
+from keymint.command_line.options import Names, names_group, standard_only_option, strict_option, vendors_of_option
+from keymint.command_line.verb import Number, Report, Run, findings_exit, findings_if, option, verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.examine import keystore
 from keymint.life import terms
@@ -36,7 +36,7 @@ SHOWN = 5
 @verb(dry_run=True, processes=True)
 def prove(
     run: Run,
-    names: tuple[str, ...] = argument(nargs=-1, metavar="[ENCLAVE]...", shell_complete=complete_package),
+    names: Names = names_group("ENCLAVE"),
     seconds: float = option(
         type=Number(0),
         default=math.inf,
@@ -60,8 +60,9 @@ def prove(
     Exit code 3: a claim is refuted or unknown, or with --strict has an exception; a certificate or grant is expired or
     not yet valid; an enclave does not trust the workspace's authorities; or an enclave has no source package.
     """
+    selection = names.selection(run)
     session = run.session(auditing=True).for_vendors_of(distro)
-    chosen = with_enclaves(session, run.names(session, names), names)
+    chosen = with_enclaves(session, selection.packages(session), named=bool(names))
     try:
         policy = lazy_policy(session)  # loaded only if something is to be proven
     except KeymintError as error:

@@ -12,7 +12,7 @@ import click
 
 from comarmor.errors import Diagnostic
 from keymint.api import LoadedPolicy
-from keymint.command_line.options import strict_option
+from keymint.command_line.options import Names, names_group, strict_option
 from keymint.command_line.verb import Report, Run, findings_if, flag, option, verb
 from keymint.errors import KeymintError
 from keymint.examine.authorities import elsewhere, exposed_keys
@@ -43,11 +43,12 @@ def status(
     ),
     strict: bool = strict_option,
     log: bool = flag("Show what each run that wrote here did: when, who, which version; the latest last."),
+    names: Names = names_group(),
 ) -> Report:
     """Show a table of all packages: the stage, whether it is stale, when it expires, and when to renew it.
 
     RENEW AFTER is from when on 'keymint renew' takes it up; 'with CA' means that it ends with this authority, which
-    must be renewed before.
+    must be renewed before. NAME is a package [all].
     """
     if log:
         return _log(run)
@@ -59,7 +60,10 @@ def status(
     except KeymintError as error:
         policy, diagnostics = None, list(error.diagnostics)
     rows = [_as_typed(run, row) for row in package_rows(session, policy)]
-    if policy:
+    if names:
+        chosen = frozenset(names.selection(run).packages(session, [row.package for row in rows]))
+        rows = [row for row in rows if row.package in chosen]
+    elif policy:
         known = {row.package for row in rows}
         wanted = {*packages_to_create(session, policy)}
         try:
@@ -67,13 +71,13 @@ def status(
         except KeymintError as error:
             diagnostics += error.diagnostics
         missing = sorted(wanted - known)
-    shared = [_as_typed(run, row) for row in shared_rows(session)]
+    shared = [] if names else [_as_typed(run, row) for row in shared_rows(session)]
 
     def show(console: Console) -> None:
         if kind == "openmetrics":
             console.lines(openmetrics(gauges(session, rows)))
         else:
-            _show(console, session.now, rows, missing, shared)
+            _show(console, session.now, rows, missing, shared, named=bool(names))
 
     show(run.console)
     result = {
@@ -130,7 +134,13 @@ def _outliving(run: Run, session: Session, policy: LoadedPolicy) -> tuple[Diagno
 
 
 def _show(
-    console: Console, now: datetime, rows: Sequence[StatusRow], missing: Sequence[str], shared: Sequence[StatusRow]
+    console: Console,
+    now: datetime,
+    rows: Sequence[StatusRow],
+    missing: Sequence[str],
+    shared: Sequence[StatusRow],
+    *,
+    named: bool,
 ) -> None:
     """Show a table, and the problems."""
     columns = ("PACKAGE", "STAGE", "STALE", "CERTIFICATE", "PERMISSIONS", "RENEW AFTER")
@@ -142,7 +152,7 @@ def _show(
     console.table(dict(zip(columns, columns, strict=True)), cells)
     problems = [(row.package or row.build_type or "shared documents", row.problem) for row in (*rows, *shared)]
     console.lines(f"{whose}: {problem}" for whose, problem in problems if problem)
-    if not cells:
+    if not cells and not named:
         console.line("no packages; run 'keymint create --all'")
 
 

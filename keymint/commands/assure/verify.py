@@ -18,7 +18,7 @@ from keymint.api.graph import MISMATCHES, Edge, Graph
 from keymint.api.graph_json import load
 from keymint.command_line.named_files import read_input, source_files, write_outputs
 from keymint.command_line.named_policies import workspace_library_rules
-from keymint.command_line.options import packages_argument, transport_option, vendors_of_option
+from keymint.command_line.options import Names, names_group, transport_option, vendors_of_option
 from keymint.command_line.verb import FILE, Report, Run, findings_if, flag, option, path_option, verb
 from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph, policy_label, select_edges
 from keymint.drawing.simplify import DrawingOptions
@@ -55,7 +55,7 @@ _UNSAFE = lazy_regex(r"[^A-Za-z0-9._-]+")
 @verb(processes=True)
 def verify(
     run: Run,
-    names: tuple[str, ...] = packages_argument,
+    names: Names = names_group(),
     graph: Path | None = path_option(
         "Ask for every subject, permission and object of this graph (docs/graph.md) [the objects of the policy, "
         "and names that probe its patterns].",
@@ -95,11 +95,12 @@ def verify(
 
     Exit code 3: there are mismatches, or an enclave does not trust the workspace's authorities.
     """
+    selection = names.selection(run)
     session = run.session().for_vendors_of(distro)
     if ros:
         chosen, tier = (*chosen, "ros"), tier if tier == Tier.EXCHANGE else str(Tier.ADMISSION)
     tally = Tally() if ros else None
-    chosen_names = with_enclaves(session, run.names(session, names), names)
+    chosen_names = with_enclaves(session, selection.packages(session), named=bool(names))
     installed, enclaves, others, infrastructure = installed_scopes(session, chosen_names)
     # A transport trusts the authorities in the enclave; they must be the workspace's.
     foreign = differences(session, chosen_names)

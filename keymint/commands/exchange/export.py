@@ -3,15 +3,14 @@
 
 from __future__ import annotations
 
-import codecs
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from comarmor.errors import Origin
-from comarmor.text import did_you_mean, quote
+from comarmor.text import did_you_mean
 from keymint.api import LoadedPolicy, PolicyFormat, PolicyType
 from keymint.command_line.named_files import deliver, read_input, replacement_refusal
+from keymint.command_line.named_packages import listed_names
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions, force_option, policy_options
 from keymint.command_line.verb import FILE, PATH, Report, Run, argument, flag, option, path_option, verb
@@ -87,7 +86,7 @@ def _subjects(run: Run, policy: LoadedPolicy, listed: Path | None) -> list[Subje
     """
     names: dict[str, Origin | None] = dict.fromkeys(policy.subjects())
     if listed is not None:
-        for name, place in _listed(read_input(run, listed), str(listed)):
+        for name, place in listed_names(read_input(run, listed), str(listed)):
             names.setdefault(typed_subject(name), place)
     if not names:
         raise no_subject("list subjects in a file: --subjects FILE")
@@ -98,26 +97,3 @@ def _subjects(run: Run, policy: LoadedPolicy, listed: Path | None) -> list[Subje
             raise KeymintError(f"no profile applies to {name}", where=where, code="subject-unknown")
         found.append(rules)
     return found
-
-
-def _listed(content: bytes, file: str) -> Iterator[tuple[str, Origin]]:
-    """Yield the subjects of a list, one a line, with their places; what follows ``#`` is a comment.
-
-    Raises:
-        KeymintError: a line is not UTF-8, or has characters that nobody sees.
-    """
-    for number, line in enumerate(content.removeprefix(codecs.BOM_UTF8).split(b"\n"), 1):
-        where = Origin(file, number)
-        try:
-            name = line.decode().partition("#")[0].strip()
-        except UnicodeDecodeError:
-            raise KeymintError(
-                "the list of subjects is not UTF-8", where=where, help="save it as UTF-8", code="subjects-invalid"
-            ) from None
-        if not name.isprintable():
-            raise KeymintError(
-                f"the subject has characters that cannot be printed: {quote(name)}", where=where, help="remove them",
-                code="subjects-invalid",
-            )  # fmt: skip
-        if name:
-            yield name, where

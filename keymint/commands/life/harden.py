@@ -12,7 +12,7 @@ from comarmor.text import first_few
 from keymint.api import Validity
 from keymint.authority.authorities import authority_named
 from keymint.authority.authority_changes import plan_renewal
-from keymint.command_line.options import flag_day_option, packages_argument
+from keymint.command_line.options import Names, flag_day_option, names_group
 from keymint.command_line.verb import Report, Run, argument, flag, verb
 from keymint.commands.life.authority_change import issued_again
 from keymint.errors import KeymintError
@@ -28,7 +28,7 @@ from keymint.workspace.session import Session
 def harden(
     run: Run,
     step: str | None = argument(type=click.Choice([str(each) for each in Weakness]), required=False),
-    names: tuple[str, ...] = packages_argument,
+    names: Names = names_group(state=False),
     applied: bool = flag("Do the step; without it, see its cost and change nothing.", "--apply"),
     flag_day: bool = flag_day_option,
 ) -> Report:
@@ -41,6 +41,7 @@ def harden(
 
     Private keys in the workspace are 0600 already; on robots that is 'chmod 600'.
     """
+    selection = names.selection(run)
     if applied:
         run.recover(run.workspace())
     session = run.session()
@@ -57,7 +58,7 @@ def harden(
         raise click.UsageError("--apply needs a STEP: each has a cost of its own.")
     if names and step != Weakness.NAMES:
         raise click.UsageError(f"the step {step!r} concerns all packages; name none.")
-    wanted = run.names(session, names) if names else chosen[0].concerns
+    wanted = selection.packages(session) if names else chosen[0].concerns
 
     def make_plan(session: Session) -> Plan:
         match step:

@@ -8,12 +8,13 @@ from datetime import datetime
 from functools import partial
 from typing import Any
 
-from keymint.command_line.options import packages_argument
+from keymint.command_line.named_packages import Selection
+from keymint.command_line.options import Names, names_group
 from keymint.command_line.verb import Report, Run, flag, verb
 from keymint.errors import KeymintError
 from keymint.life.register import IssuedCertificate
 from keymint.life.workspace_register import complete_register, register_change
-from keymint.names import package_name, subject_of
+from keymint.names import subject_of
 from keymint.output.report import members
 from keymint.store.changes import Action, Plan, Step
 from keymint.workspace.session import Session
@@ -24,7 +25,7 @@ STAGE = "register"
 @verb(dry_run=True, name="issued")
 def issued_certificates(
     run: Run,
-    names: tuple[str, ...] = packages_argument,
+    names: Names = names_group(),
     revoked: bool = flag("Only certificates that were revoked."),
     accept: bool = flag(
         "Accept that holders may present documents of NAME that were signed before and permit more than the policy, "
@@ -35,15 +36,18 @@ def issued_certificates(
 
     NAME is a package [all], also one whose sources are gone. --json has the fingerprints of the keys as well.
     """
+    selection = names.selection(run)
     if accept:
-        return run.change(partial(_accepted, names))
+        return run.change(partial(_accepted, selection if names else None))
     session = run.session()
     register = complete_register(session)
-    chosen = {package_name(name) for name in names}
+    known = {each.name for each in register.certificates.values() if each.name}
+    hint = "without a name it lists all certificates"
+    chosen = frozenset(selection.packages(session, known.union(session.packages()), otherwise=hint))
     entries = [
         each
         for each in register.certificates.values()
-        if (not chosen or each.name in chosen) and (each.revoked or not revoked)
+        if (each.name in chosen or not names) and (each.revoked or not revoked)
     ]
     documents = [certificate_json(each) for each in entries]
     columns = {"SUBJECT": "subject", "GENERATION": "generation", "SERIAL": "serial", "ISSUED": "issued"}
@@ -70,15 +74,16 @@ def _state(certificate: Mapping[str, Any], now: datetime) -> str:
     return "expired" if certificate["not_after"] < now else "in force"
 
 
-def _accepted(names: tuple[str, ...], session: Session) -> Plan:
+def _accepted(selection: Selection | None, session: Session) -> Plan:
     """Plan that the documents of some packages that were signed before stay good with the owner's consent.
 
     Raises:
         KeymintError: no package is named, or no document of one is known.
     """
-    chosen = tuple(dict.fromkeys(package_name(name) for name in names))
     register = complete_register(session)
-    if missing := [name for name in chosen if name not in {each.name for each in register.rights}] or not chosen:
+    known = {each.name for each in register.rights}
+    chosen = selection.packages(session, known.union(session.packages()), known) if selection else ()
+    if missing := [name for name in chosen if name not in known] or not chosen:
         who = f"of {subject_of(missing[0])} is known" if isinstance(missing, list) else "is accepted unless you name it"
         raise KeymintError(f"no document {who}", help="'keymint check' names the packages", code="package-unknown")
     writes = register_change(session, register.with_accepted(chosen, session.now))

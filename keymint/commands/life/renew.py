@@ -10,7 +10,7 @@ from typing import Any
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import quantity
-from keymint.command_line.options import packages_argument, prove_option, threshold
+from keymint.command_line.options import Names, names_group, prove_option, threshold
 from keymint.command_line.verb import Report, Run, findings_if, flag, option, verb
 from keymint.errors import KeymintError
 from keymint.life.package_issuance import plan_issuance
@@ -40,10 +40,10 @@ NOT_HERE = "authority-key-missing"
 """Code of the error that an authority cannot sign, since its key is elsewhere."""
 
 
-@verb(dry_run=True)
+@verb(dry_run=True, yes=True)
 def renew(
     run: Run,
-    names: tuple[str, ...] = packages_argument,
+    names: Names = names_group(),
     threshold: Threshold = option(
         type=threshold,
         default="66%",
@@ -68,13 +68,18 @@ def renew(
       1 something that is due was not renewed
       3 a person must renew an authority, a second keystore, or make a key elsewhere; with --dry-run: something is due
     """
+    selection = names.selection(run)
 
     def make_plan(session: Session) -> tuple[Plan, _Renewal]:
-        packages = run.names(session, names)
-        due = schedule(session, installed_terms(session, with_enclaves(session, packages, names)), threshold)
+        packages = selection.packages(session, threshold=threshold)
+        told = selection.confirm("rekey", packages) if rekey else ()
+        enclaves = with_enclaves(session, packages, named=bool(names))
+        due = schedule(session, installed_terms(session, enclaves), threshold)
         if names:
             due = Schedule(tuple(map(Due, packages)), due.lists, due.authorities, due.following)
-        return _renewal(run, session, due, rekey=rekey and not run.resumes, prove=prove, alone=not names)
+        rekeys = rekey and not run.resumes
+        plan, renewal = _renewal(run, session, due, rekey=rekeys, prove=prove, alone=not names)
+        return plan.noting(*told), renewal
 
     report, (result, lines, _) = run.made(make_plan, lambda plan, made: exit_code_of(plan) or findings_if(made[-1]))
     run.console.lines(lines)
@@ -201,7 +206,7 @@ def _issued_again(run: Run, session: Session, due: Schedule, names: Sequence[str
     ends = [list_end(session, each) for each in due.lists]
     request = Request(
         names,
-        options=InstallRequest(prove=prove, renew=rekey),
+        options=InstallRequest(prove=prove, rekey=frozenset(names if rekey else ())),
         change=first,
         refresh=[each.name for each in due.lists],
         list_end=None if None in ends else max(filter(None, ends), default=None),

@@ -11,13 +11,14 @@ import click
 
 from comarmor.errors import Severity
 from comarmor.text import quantity
-from keymint.command_line.options import complete_package, prove_option
-from keymint.command_line.verb import Report, Run, argument, option, verb
+from keymint.command_line.options import Names, names_group, prove_option
+from keymint.command_line.verb import Report, Run, option, verb
 from keymint.commands.life.issued import certificate_json
 from keymint.errors import KeymintError
 from keymint.life.package_issuance import Revoking, plan_revocation
 from keymint.life.register import REASONS, SUPERSEDED
-from keymint.names import package_name, subject_list, subject_of
+from keymint.life.workspace_register import complete_register
+from keymint.names import subject_list, subject_of
 from keymint.stages.pipeline import Request, conduct, updated_packages
 from keymint.stages.work import InstallRequest, Work
 from keymint.store.changes import Plan
@@ -25,10 +26,10 @@ from keymint.workspace.installed_enclaves import INSTALLED
 from keymint.workspace.session import Session
 
 
-@verb(dry_run=True)
+@verb(dry_run=True, yes=True)
 def revoke(
     run: Run,
-    names: tuple[str, ...] = argument(nargs=-1, required=True, metavar="NAME...", shell_complete=complete_package),
+    names: Names = names_group(required=True),
     reason: str = option(
         type=click.Choice(REASONS),
         required=True,
@@ -45,17 +46,20 @@ def revoke(
     With the reason superseded a new certificate for the same key is installed. Otherwise the enclave is removed, until
     'keymint renew --rekey NAME' makes a new key.
     """
-    chosen = tuple(dict.fromkeys(map(package_name, names)))
+    selection = names.selection(run)
 
-    def make_plan(session: Session) -> tuple[Plan, tuple[Revoking, Plan]]:
+    def make_plan(session: Session) -> tuple[Plan, tuple[Revoking, Plan, tuple[str, ...]]]:
+        certified = {each.name for each in complete_register(session, lossy=True).certificates.values() if each.name}
+        chosen = selection.packages(session, None, certified)
+        told = selection.confirm("revoke", chosen)
         revoking = plan_revocation(session, () if run.resumes else chosen, reason)
         request = Request(revoking.packages, options=InstallRequest(prove=prove), change=revoking.plan)
         plan = conduct(Work(session), request, run.crew).plan
         if revoking.skipped and not plan.writes():
             raise KeymintError.of([replace(each, severity=Severity.ERROR) for each in revoking.skipped])
-        return plan.noting(*revoking.skipped, *revoking.diagnostics), (revoking, plan)
+        return plan.noting(*told, *revoking.skipped, *revoking.diagnostics), (revoking, plan, chosen)
 
-    report, (revoking, plan) = run.made(make_plan)
+    report, (revoking, plan, chosen) = run.made(make_plan)
     result: dict[str, Sequence[Any]] = {
         "revoked": [certificate_json(each) for each in revoking.certificates],
         "restart": [subject_of(name) for name in updated_packages(plan) if name not in chosen],

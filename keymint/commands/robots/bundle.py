@@ -12,21 +12,18 @@ from typing import Any
 from cryptography import x509
 
 from comarmor.errors import Diagnostic
-from comarmor.patterns.glob import matches, parse
-from comarmor.patterns.tokens import SPECIAL
-from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint.api import Package, Phase
 from keymint.authority.authorities import MintedAuthority, plan_authorities
 from keymint.authority.rollover import phase_of
 from keymint.command_line.named_files import show_written, user_path, write_outputs
-from keymint.command_line.options import complete_package
-from keymint.command_line.verb import Report, Run, argument, flag, path_option, verb
+from keymint.command_line.options import Names, names_group
+from keymint.command_line.verb import Report, Run, flag, path_option, verb
 from keymint.errors import KeymintError, usage_error
 from keymint.examine.keystore import of_enclaves
 from keymint.life.terms import iso_time
 from keymint.life.workspace_register import complete_register, register_change, withdrawn
-from keymint.names import package_name, subject_of
+from keymint.names import subject_of
 from keymint.output.report import members
 from keymint.pki import certificates, revocation_lists
 from keymint.robots import bundle as bundles
@@ -49,9 +46,7 @@ bundle_output_option = path_option(
 @verb(dry_run=True)
 def bundle(
     run: Run,
-    names: tuple[str, ...] = argument(
-        nargs=-1, required=True, metavar="NAME|PATTERN...", shell_complete=complete_package
-    ),
+    names: Names = names_group("NAME", required=True),
     output: Path | None = bundle_output_option,
     staged: bool = flag(
         "Of the second keystore, which 'keymint authority replace' staged; accept it into a copy of the keystore."
@@ -63,9 +58,11 @@ def bundle(
     has the private key if this workspace made it; then keep it as secret as the key. NAME is an installed package, and
     PATTERN matches the names of several: '/robot1/*'.
     """
+    selection = names.selection(run)
 
     def make_plan(session: Session) -> tuple[Plan, Sequence[MadeBundle]]:
-        chosen = _chosen(session, names)
+        there = [name for name in enclave_names(session) if name in frozenset(session.packages())]
+        chosen = dict.fromkeys(selection.packages(session, matched=there))
         require_output(run, output, len(chosen))
         ahead, authorities = _second_keystore(run, session) if staged else (None, _in_force(session, chosen))
         return plan_bundles(session, chosen, authorities, ahead)
@@ -117,33 +114,6 @@ def _second_keystore(run: Run, session: Session) -> tuple[Session, Mapping[str, 
         )
     require_staged(run.crew, session, replaced[0])
     return session_ahead(session, replaced[0])
-
-
-def _chosen(session: Session, given: tuple[str, ...]) -> dict[str, None]:
-    """Return the packages that the user named, and those with an enclave whose names match a pattern.
-
-    What is not installed has no bundle, e.g. after a revocation; a pattern passes over it.
-
-    Raises:
-        KeymintError: there is none.
-    """
-    known, chosen = session.packages(), dict[str, None]()
-    there = frozenset(enclave_names(session))
-    for each in given:
-        if SPECIAL.search(each):
-            which = "no installed package"
-            found = [name for name in known if name in there and matches(parse(each), subject_of(name))]
-        else:
-            which, name = "no package", package_name(each)
-            found = [name] if name in known else []
-        if not found:
-            raise KeymintError(
-                f"{which} is called {each!r} in {session.workspace.shown(session.workspace.src)}",
-                help=did_you_mean(each, [subject_of(name) for name in known], "'keymint status' lists them"),
-                code="package-unknown",
-            )
-        chosen.update(dict.fromkeys(found))
-    return chosen
 
 
 def require_output(run: Run, output: Path | None, number: int) -> None:

@@ -12,9 +12,9 @@ from comarmor.errors import Diagnostic, Origin
 from comarmor.text import did_you_mean
 from keymint.analysis.lint.attachment_mistakes import attachment_mistakes
 from keymint.api import BuildOptions, Hint, LoadedPolicy
-from keymint.command_line.options import DocumentOptions, document_options, packages_argument, renew_option
+from keymint.command_line.options import DocumentOptions, Names, document_options, former_renew_option, names_group
 from keymint.command_line.verb import Report, Run, flag, verb
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, usage_error
 from keymint.names import subject_of
 from keymint.stages.create import policy_changed
 from keymint.stages.pipeline import Request, conduct
@@ -25,12 +25,13 @@ from keymint.workspace.policy_loading import load_policy
 from keymint.workspace.session import Session
 
 
-@verb(jobs=True, dry_run=True)
+@verb(jobs=True, dry_run=True, yes=True)
+@former_renew_option
 def build(
     run: Run,
-    names: tuple[str, ...] = packages_argument,
+    names: Names = names_group(),
     force: bool = flag("Rebuild everything; discard manual edits.", "-f"),
-    renew: bool = renew_option,
+    rekey: bool = flag("Replace the private keys of the packages NAME; by default keys are kept."),
     document_options: DocumentOptions = document_options,
 ) -> Report:
     """Build unsigned documents in build/, and create a key for each subject that has none.
@@ -39,17 +40,23 @@ def build(
     edit them in between. Permissions are rewritten into a smaller form that is proven equivalent; both sizes are
     shown. NAME is a package [all].
     """
-    options = build_options(run, document_options)
+    if rekey and not names:
+        help_ = "name them: 'keymint build --rekey NAME', or '*' for all; 'keymint renew' keeps keys"
+        raise usage_error("--rekey replaces private keys, and no package is named", help_)
+    options, selection = build_options(run, document_options), names.selection(run)
 
     def make_plan(session: Session) -> Plan:
-        chosen = run.names(session, names)
+        chosen = selection.packages(session)
+        told = selection.confirm("rekey", chosen) if rekey else ()
 
         def notes(work: Work) -> Iterator[Diagnostic]:
-            yield from policy_changed(session) if chosen else (no_packages(session),)
+            yield from told
+            yield from policy_changed(session) if chosen or names else (no_packages(session),)
             yield from policy_slips(session, work.plan.steps)
-            yield from unknown_hints(options.hints, document_options.hints, run.names(session, ()))
+            yield from unknown_hints(options.hints, document_options.hints, session.packages())
 
-        asked = InstallRequest(force=force, renew=renew and not run.resumes, build=options)
+        new_keys = frozenset(chosen if rekey and not run.resumes else ())
+        asked = InstallRequest(force=force, rekey=new_keys, build=options)
         return conduct(Work(session), Request(chosen, (BUILD,), asked, notes=notes), run.crew).plan
 
     return run.change(make_plan)

@@ -9,10 +9,10 @@ import click
 
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
-from keymint.command_line.options import valid_for_option
-from keymint.command_line.verb import Report, Run, argument, flag, option, option_group, verb
+from keymint.command_line.options import Names, names_group, valid_for_option
+from keymint.command_line.verb import Report, Run, flag, option, option_group, verb
 from keymint.errors import usage_error
-from keymint.names import no_subject, package_name
+from keymint.names import no_subject
 from keymint.stages.create import packages_to_create
 from keymint.stages.pipeline import CREATE, Request, conduct
 from keymint.stages.work import InstallRequest, Work
@@ -63,7 +63,7 @@ acceptance_options = option_group(AcceptanceOptions)
 @verb(jobs=True, dry_run=True)
 def create(
     run: Run,
-    names: tuple[str, ...] = argument(nargs=-1, metavar="[NAME]..."),
+    names: Names = names_group(state=False),
     all_subjects: bool = flag("Create every subject that the policy names exactly.", "--all"),
     force: bool = flag("Replace the rules of a package even if they were edited manually.", "-f"),
     valid_for: str | None = valid_for_option,
@@ -81,7 +81,7 @@ def create(
     if not names and not all_subjects and not acceptance.accept_package:
         raise usage_error("no subject is named", "name some, or use --all")
     run.workspace()
-    named = [package_name(name) for name in names]
+    selection = names.selection(run)
 
     def make_plan(session: Session) -> Plan:
         work = accept(Work(session), acceptance)
@@ -89,7 +89,9 @@ def create(
             return work.plan
         policy = lazy_policy(work.session)
         work = work.then(plan_release(work.session, policy))
-        subjects = dict.fromkeys([*named, *(packages_to_create(work.session, policy) if all_subjects else ())])
+        every = packages_to_create(work.session, policy)
+        named = selection.packages(work.session, None, every, "name a subject of the policy") if names else ()
+        subjects = dict.fromkeys([*named, *(every if all_subjects else ())])
         if not subjects:
             raise no_subject("name the subjects: keymint create /robot1/talker")
         asked = InstallRequest(force=force)

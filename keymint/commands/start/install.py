@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import click
 
 from comarmor.errors import Diagnostic
-from keymint.command_line.options import install_request, packages_argument, standard_only_option
+from keymint.command_line.options import Names, install_request, names_group, standard_only_option
 from keymint.command_line.verb import Report, Run, findings_exit, verb
 from keymint.commands.start.build import no_packages
 from keymint.errors import ExitCode
@@ -24,7 +24,7 @@ from keymint.workspace.session import Session
 @verb(jobs=True, dry_run=True)
 def install(
     run: Run,
-    names: tuple[str, ...] = packages_argument,
+    names: Names = names_group(),
     request: InstallRequest = install_request(allow_vendor_specific=standard_only_option),
 ) -> Report:
     """Sign the documents in build/ and stage them in install/, one complete enclave per subject.
@@ -36,15 +36,17 @@ def install(
     if names and request.new_authority:
         raise click.UsageError("--new-authority applies to all enclaves; do not name packages.")
 
+    selection = names.selection(run)
+
     def exit_code(plan: Plan) -> ExitCode:
         nothing = findings_exit([finding for finding in plan.diagnostics if finding.code == UNCREATED])
         return exit_code_of(plan) or nothing
 
     def make_plan(session: Session) -> Plan:
-        chosen = run.names(session, names)
+        chosen = selection.packages(session)
 
         def notes(_: Work) -> Iterator[Diagnostic]:
-            yield from policy_changed(session) if chosen else (no_packages(session),)
+            yield from policy_changed(session) if chosen or names else (no_packages(session),)
             if not names and (not chosen or request.prove):
                 yield from subjects_without_package(session, lazy_policy(session), chosen)
 

@@ -3,18 +3,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from comarmor.errors import Origin
+from comarmor.errors import Diagnostic, Origin
 from keymint.command_line.options import (
     DEFAULT_PROFILE_TYPE,
     DocumentOptions,
     document_options,
+    former_renew_option,
     install_request,
-    renew_option,
 )
-from keymint.command_line.verb import PATH, Report, Run, argument, flag, verb
+from keymint.command_line.verb import PATH, Report, Run, argument, flag, option, verb
 from keymint.commands.start.build import build_options, policy_slips, unknown_hints
 from keymint.commands.start.create import AcceptanceOptions, accept, acceptance_options
 from keymint.commands.start.init import ProfileOptions, bootstrap_request, profile_options, refuse_contradiction
@@ -25,17 +26,22 @@ from keymint.stages.work import InstallRequest, Work
 from keymint.store.changes import Plan
 from keymint.workspace.package_build_types import BUILD
 from keymint.workspace.policy_loading import lazy_policy
-from keymint.workspace.session import Inputs
+from keymint.workspace.session import Inputs, Session
 from keymint.workspace.shipped_profiles import plan_release
 
 
-@verb(jobs=True, dry_run=True)
+@verb(jobs=True, dry_run=True, yes=True)
+@former_renew_option
 def provision(
     run: Run,
     policy: Path = argument(type=PATH),
     profile: ProfileOptions = profile_options,
     force: bool = flag("Discard manual edits of packages' rules and of built documents.", "-f"),
-    renew: bool = renew_option,
+    rekey: tuple[str, ...] = option(
+        multiple=True,
+        metavar="NAME",
+        help="Replace the private key of this package; NAME may be a pattern. Repeatable.",
+    ),
     document_options: DocumentOptions = document_options,
     request: InstallRequest = install_request(),
     acceptance: AcceptanceOptions = acceptance_options,
@@ -48,9 +54,7 @@ def provision(
     """
     workspace = run.workspace_at(None)
     options = build_options(run, document_options)
-    request = replace(
-        request, force=force, renew=renew, build=options, allow_vendor_specific=options.allow_vendor_specific
-    )
+    request = replace(request, force=force, build=options, allow_vendor_specific=options.allow_vendor_specific)
     bootstrap = bootstrap_request(run, workspace, policy, profile)
     if workspace.exists():
         refuse_contradiction(run, workspace, profile)
@@ -71,13 +75,14 @@ def provision(
             raise no_subject(
                 "attach a profile to a name without wildcards, or use 'keymint create NAME'", Origin(str(policy))
             )
+        new_keys, told = _named_for_rekeying(run, work.session, rekey, names) if rekey else (frozenset[str](), ())
         unknown = unknown_hints(options.hints, document_options.hints, (*names, *work.session.needed_infrastructure()))
         everything = Request(
             names,
             (CREATE, BUILD, INSTALL),
-            request.resumed(resumes=run.resumes),
+            replace(request, rekey=new_keys).resumed(resumes=run.resumes),
             policy=acquired,
-            change=Plan((), work.session.state, unknown),
+            change=Plan((), work.session.state, (*told, *unknown)),
             follow=False,
             late=True,
             notes=lambda done: policy_slips(done.session, done.of(CREATE, BUILD).steps, acquired),
@@ -85,3 +90,14 @@ def provision(
         return conduct(work, everything, run.crew).plan
 
     return run.carry_out(workspace, make_plan)
+
+
+def _named_for_rekeying(
+    run: Run, session: Session, given: Sequence[str], names: Sequence[str]
+) -> tuple[frozenset[str], tuple[Diagnostic, ...]]:
+    """Return the packages that get new keys, and what the user agreed to; errors as of :meth:`Run.confirm`."""
+    from keymint.command_line.named_packages import selection_of  # noqa: PLC0415 - few runs name packages
+
+    selection = selection_of(run, given)
+    chosen = selection.packages(session, names)
+    return frozenset(chosen), selection.confirm("rekey", chosen)

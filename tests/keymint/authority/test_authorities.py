@@ -117,7 +117,7 @@ def test_an_authoritys_private_key_may_be_kept_elsewhere(keymint, provisioned: P
     before = snapshot(provisioned)
     assert keymint("install", cwd=provisioned).out.startswith("nothing to do")
     assert keymint("check", cwd=provisioned).code == 0
-    assert keymint("build", "--renew", "talker", cwd=provisioned).code == 0
+    assert keymint("build", "--rekey", "talker", cwd=provisioned).code == 0
     assert keymint("install", cwd=provisioned).code == 0  # the intermediate authority issues
     after = snapshot(provisioned)
     assert {path: after[path] for path in after if path.startswith("public/")} == {

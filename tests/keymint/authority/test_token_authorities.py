@@ -291,7 +291,7 @@ def test_a_robot_that_made_no_request_yet_keeps_nobody_waiting(keymint, policy: 
     assert not (ws / "install/enclaves/talker").exists()
     assert (ws / "install/enclaves/robot1/listener/cert.pem").exists()
     assert "enclave-missing" in keymint("check", "--json", cwd=ws).codes()
-    assert keymint("build", "--renew", "talker", "--json", cwd=ws).codes() == ["key-elsewhere"]
+    assert keymint("build", "--rekey", "talker", "--json", cwd=ws).codes() == ["key-elsewhere"]
     assert keymint("build", "-f", cwd=ws).code == 0
 
 

@@ -194,7 +194,7 @@ VENDOR_SPECIFIC = Option(("--allow-vendor-specific",), installed, vendor_specifi
 PROVISION = (
     PRUNE, SUPERSEDED, NEW_AUTHORITY, NO_PROVE, STRICT, VENDOR_SPECIFIC,
     Option(("--force",), forced, edited),
-    Option(("--renew",), new_keys),
+    Option(("--rekey=*", "--yes"), new_keys),
     Option(("--no-optimise",), plain),
     Option(("--hints", "hints.csv"), hinted, with_hints),
 )  # fmt: skip

@@ -178,7 +178,7 @@ def test_what_was_proven_is_not_recorded_over_what_somebody_did_meanwhile(
     def renew(root: Path) -> None:
         if not seen:
             seen.append(b"")
-            arguments = ("provision", root.parent / "policy.xml", "-w", root, "--no-prove", "--renew")
+            arguments = ("provision", root.parent / "policy.xml", "-w", root, "--no-prove", "--rekey=*", "--yes")
             assert keymint(*arguments).code == 0
             seen.append(stamps(root))
 

@@ -246,7 +246,7 @@ def test_another_command_is_carried_out(
 
 def test_what_does_something_each_time_is_always_carried_out(keymint, recalled: list[bool], policy: Path) -> None:
     settle()
-    for option in ("--renew", "--force", "--new-authority=identity_ca"):
+    for option in ("--rekey=/talker", "--force", "--new-authority=identity_ca"):
         for _ in range(3):
             keymint("provision", policy, "-w", "ws", option)
     assert not any(recalled)

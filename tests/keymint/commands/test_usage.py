@@ -14,6 +14,7 @@ from tests.conftest import snapshot
 
 OPEN = {
     "install --new-authority",
+    "provision --rekey",
     "query --partition",
     "why --partition",
     "graph --subject",

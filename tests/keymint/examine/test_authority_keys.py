@@ -76,7 +76,7 @@ class TestEncryption:
     def test_then_everything_works_with_the_password_and_reading_without(self, keymint, asked: Path) -> None:
         for name in NAMES:
             assert keymint("authority", "encrypt", name, cwd=asked, env=PASSWORD).code == 0
-        assert keymint("build", "--renew", cwd=asked).code == 0
+        assert keymint("build", "--rekey", "--yes", "*", cwd=asked).code == 0
         refused = keymint("install", "--json", cwd=asked)
         assert (refused.code, set(refused.codes())) == (1, {"password-missing"})
         assert keymint("install", cwd=asked, env=PASSWORD).code == 0
@@ -133,7 +133,8 @@ class TestIdentities:
         return provisioned
 
     @pytest.mark.parametrize(
-        "words", [("build",), ("build", "--renew"), ("install",), ("check",), ("provision", "../policy.xml")]
+        "words",
+        [("build",), ("build", "--rekey", "--yes", "*"), ("install",), ("check",), ("provision", "../policy.xml")],
     )
     def test_asking_for_it_is_an_error(self, keymint, locked: Path, words: tuple[str, ...]) -> None:
         before = (locked / "install/enclaves/talker/key.pem").read_bytes()
@@ -162,8 +163,8 @@ class TestIdentities:
         assert ("identity-encrypted", str(path.relative_to(provisioned))) in [
             (each["code"], each["file"]) for each in outcome.document["diagnostics"]
         ]
-        assert any("'keymint build --renew talker'" in each["help"] for each in outcome.document["diagnostics"])
-        assert keymint("build", "--renew", "talker", cwd=provisioned).code == 0
+        assert any("'keymint build --rekey talker'" in each["help"] for each in outcome.document["diagnostics"])
+        assert keymint("build", "--rekey", "talker", cwd=provisioned).code == 0
         assert keymint("install", cwd=provisioned).code == 0
         assert keymint("check", cwd=provisioned).code == 0
 

@@ -168,7 +168,7 @@ class TestKeyElsewhere:
 
     def test_renewing_the_key_here_is_refused(self, keymint: Callable, robot: Path) -> None:
         before = snapshot(robot)
-        outcome = keymint("build", "--renew", "talker", "--json", cwd=robot)
+        outcome = keymint("build", "--rekey", "talker", "--json", cwd=robot)
         assert outcome.code == 1
         assert outcome.codes() == ["key-elsewhere"]
         assert snapshot(robot) == before

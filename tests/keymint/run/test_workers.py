@@ -127,7 +127,7 @@ def test_each_stage_by_itself(keymint: Keymint, tmp_path: Path) -> None:
     source = policy(tmp_path / "policy.xml")
     for jobs in (1, 2):
         assert keymint("init", f"ws{jobs}", "--policy", source).code == 0
-        for verb in (("create", "--all"), ("build",), ("install",), ("build", "--renew"), ("install",)):
+        for verb in (("create", "--all"), ("build",), ("install",), ("build", "--rekey", "--yes", "*"), ("install",)):
             command = (*verb, "-w", f"ws{jobs}", "-j", jobs)
             done = keymint(*command) if jobs == 1 else run(tmp_path, *command)
             assert done.code == 0, done.err

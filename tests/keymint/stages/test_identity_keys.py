@@ -66,8 +66,8 @@ class TestIdentities:
         assert (ws / IDENTITY_KEYS[0]).read_bytes() == original
         assert (ws / IDENTITY_KEYS[0]).stat().st_mode & 0o777 == 0o600
         another_key(ws, ws / IDENTITY_KEYS[0])
-        assert "'keymint build --renew talker'" in keymint("check", cwd=ws).err
-        assert keymint("build", "--renew", "talker", cwd=ws).code == 0
+        assert "'keymint build --rekey talker'" in keymint("check", cwd=ws).err
+        assert keymint("build", "--rekey", "talker", cwd=ws).code == 0
         assert keymint("install", cwd=ws).code == 0
         assert keymint("check", cwd=ws).code == 0
         assert public_key(ws / IDENTITY_KEYS[0]) != load_pem_private_key(original, None).public_key()
@@ -78,7 +78,7 @@ class TestIdentities:
         outcome = keymint("build", cwd=ws)
         assert outcome.code == 1
         assert "the private key of /talker is missing" in outcome.err
-        assert keymint("build", "--renew", "talker", cwd=ws).code == 0
+        assert keymint("build", "--rekey", "talker", cwd=ws).code == 0
         assert keymint("install", cwd=ws).code == 0
 
 
@@ -93,7 +93,7 @@ class TestKeys:
         keymint("build", cwd=created)
         key = (created / "private/identities/talker/key.pem").read_bytes()
         other = (created / "private/identities/robot1/listener/key.pem").read_bytes()
-        assert keymint("build", "--renew", "talker", cwd=created).code == 0
+        assert keymint("build", "--rekey", "talker", cwd=created).code == 0
         assert (created / "private/identities/talker/key.pem").read_bytes() != key
         assert (created / "private/identities/robot1/listener/key.pem").read_bytes() == other
 
@@ -110,7 +110,7 @@ class TestKeys:
         outcome = keymint("build", cwd=created)
         assert outcome.code == 1
         assert "private/identities/talker/key.pem: error: is not an RSA key of 2048 bits" in outcome.err
-        assert keymint("build", "--renew", cwd=created).code == 0
+        assert keymint("build", "--rekey", "--yes", "*", cwd=created).code == 0
 
     def test_that_are_damaged_are_said_to_be_without_being_shown(self, keymint, created: Path) -> None:
         keymint("build", cwd=created)

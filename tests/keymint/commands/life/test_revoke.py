@@ -85,7 +85,7 @@ def test_nothing_is_issued_for_a_key_that_was_given_up(provisioned: Path, keymin
 def test_a_new_key_after_a_compromise(provisioned: Path, keymint) -> None:
     old = certificate(provisioned, "talker")
     keymint("revoke", "talker", "--reason", "key-compromise", cwd=provisioned)
-    assert keymint("build", "--renew", "talker", cwd=provisioned).code == 0
+    assert keymint("build", "--rekey", "talker", cwd=provisioned).code == 0
     assert keymint("install", cwd=provisioned).code == 0
     new = certificate(provisioned, "talker")
     assert new.public_key() != old.public_key()

@@ -195,3 +195,40 @@ def test_a_defect_in_the_defaults_is_one_line_for_all_packages(
     assert len(lines) == len(set(lines))
     assert all("[3 packages]" in line for line in lines)
     assert not [line for line in outcome.err.splitlines() if "ws/src/" in line]
+
+
+# -- new keys ---------------------------------------------------------------------------------------------------------
+
+
+def _key(ws: Path, name: str) -> bytes:
+    return (ws / f"private/identities/{name}/key.pem").read_bytes()
+
+
+def test_new_keys_are_for_named_packages_and_said(keymint, ws: Path) -> None:
+    assert keymint("build", cwd=ws).code == 0
+    before = [_key(ws, name) for name in ("talker", "robot1/listener")]
+    assert keymint("build", "--rekey", "--json", cwd=ws).code == 2
+    made = keymint("build", "--rekey", "talker", cwd=ws)
+    assert "1 private key replaced: /talker" in made.err
+    after = [_key(ws, name) for name in ("talker", "robot1/listener")]
+    assert [old == new for old, new in zip(before, after, strict=True)] == [False, True]
+
+
+@pytest.mark.parametrize("words", [("build", "--renew"), ("provision", "../policy.xml", "--renew")])
+def test_the_former_word_names_both(keymint, ws: Path, words: tuple[str, ...]) -> None:
+    refused = keymint(*words, cwd=ws)
+    assert refused.code == 2
+    assert "--rekey" in refused.err
+    assert "'keymint renew'" in refused.err
+    assert "--renew" not in keymint(words[0], "--help").out
+
+
+def test_provision_replaces_the_keys_that_are_named(keymint, policy: Path, tmp_path: Path) -> None:
+    assert keymint("provision", policy, "-w", "ws").code == 0
+    before = [_key(tmp_path / "ws", name) for name in ("talker", "robot1/listener")]
+    made = keymint("provision", policy, "-w", "ws", "--rekey", "/talker")
+    assert (made.code, "1 private key replaced: /talker" in made.err) == (0, True)
+    after = [_key(tmp_path / "ws", name) for name in ("talker", "robot1/listener")]
+    assert [old == new for old, new in zip(before, after, strict=True)] == [False, True]
+    assert keymint("check", "-w", "ws").code == 0
+    assert keymint("provision", policy, "-w", "ws", "--rekey", "/nobody").code == 1

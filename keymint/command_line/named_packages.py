@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The packages that a command line names: by names, by patterns, by a file of both, and by their state."""
+
+from __future__ import annotations
+
+import codecs
+from collections.abc import Collection, Iterator, Sequence
+from pathlib import Path
+
+from comarmor.errors import Defects, Diagnostic, Origin
+from comarmor.patterns.glob import matches, parse
+from comarmor.patterns.tokens import SPECIAL
+from comarmor.text import did_you_mean, quantity, quote
+from comarmor.values import dataclass
+from keymint.command_line.named_files import read_input
+from keymint.errors import KeymintError
+from keymint.life.terms import DEFAULT, Threshold
+from keymint.names import package_name, subject_of, typed_subject
+from keymint.run.run import Run
+from keymint.view.tree import MAX_FILE
+from keymint.workspace.session import Session
+
+_STANDARD = Path("-")
+Named = tuple[str, Origin | None]
+"""A name or pattern, and its place if a file has it."""
+
+
+def selection_of(run: Run, given: Sequence[str], listed: Path | None = None, state: str | None = None) -> Selection:
+    """Return the packages that a command line names.
+
+    Args:
+        run: the run.
+        given: names and patterns.
+        listed: a file with more of them; ``-`` is standard input.
+        state: only packages in this state.
+
+    Raises:
+        KeymintError: the file cannot be read, or names nothing; or as :func:`listed_names`.
+    """
+    found: list[Named] = [(each, None) for each in given]
+    if listed is not None:
+        is_standard = listed == _STANDARD
+        content = run.setting.read(MAX_FILE + 1) if is_standard else read_input(run, listed)
+        where = Origin("<standard input>" if is_standard else str(listed))
+        if not (names := list(listed_names(content, where.file))):
+            raise KeymintError("names no package", where=where, help="write a name a line", code="names-none")
+        found += names
+    return Selection(run, tuple(found), state)
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """Names and patterns that somebody typed, before it is known what they stand for.
+
+    Attributes:
+        run: the run, which is told that no package is in the state.
+        typed: each with its place if a file has it.
+        state: only packages in this state; None for any.
+    """
+
+    run: Run
+    typed: tuple[Named, ...]
+    state: str | None = None
+
+    def packages(
+        self, session: Session, known: Collection[str] | None = (), matched: Collection[str] = (),
+        otherwise: str = "", threshold: Threshold = DEFAULT,
+    ) -> tuple[str, ...]:  # fmt: skip
+        """Return the packages that it stands for, in this order, each once; without a name or pattern, all known ones.
+
+        Args:
+            session: the workspace and its profile.
+            known: what may be named, by default the source packages; None for any legal name.
+            matched: what a pattern finds; by default what may be named.
+            otherwise: the hint on a name if no known one is like it.
+            threshold: when a package is due.
+
+        Raises:
+            KeymintError: a name is illegal or unknown, a pattern is none, or finds nothing; with all of these.
+        """
+        known = known if known is None else frozenset(known or session.packages())
+        matched = sorted(matched or known or ())
+        chosen: dict[str, None] = {} if self.typed else dict.fromkeys(matched)
+        defects = Defects()
+        for text, place in self.typed:
+            with defects:
+                chosen.update(dict.fromkeys(_found(session, text, place, known, matched, otherwise)))
+        defects.require_none()
+        if self.state is None:
+            return tuple(chosen)
+        in_state = _in_state(session, self.state, chosen, threshold)
+        if not (found := tuple(name for name in chosen if name in in_state)):
+            self.run.console.line(f"no package is {self.state}")
+        return found
+
+    def confirm(self, verb: str, names: Sequence[str]) -> tuple[Diagnostic, ...]:
+        """Ask before something is done to packages that nobody named one by one; see :meth:`Run.confirm`.
+
+        Args:
+            verb: what is done, e.g. ``revoke``.
+            names: the packages that a pattern or a state stands for.
+        """
+        if self.run.resumes or not names or not (self.state or any(SPECIAL.search(text) for text, _ in self.typed)):
+            return ()
+        chosen = f"{quantity(len(names), 'package')} to {verb}, not named one by one"
+        message = f"{chosen}: {', '.join(map(subject_of, names))}"
+        return self.run.confirm([Diagnostic.warning("names-by-pattern", message)])
+
+
+def _found(
+    session: Session,
+    text: str,
+    place: Origin | None,
+    known: Collection[str] | None,
+    matched: Sequence[str],
+    otherwise: str,
+) -> list[str]:
+    """Return the packages of a name or a pattern; the arguments and errors are as of :meth:`Selection.packages`."""
+    is_pattern = SPECIAL.search(text) is not None
+    try:
+        if is_pattern:
+            pattern = parse(typed_subject(text))
+            found = [name for name in matched if matches(pattern, subject_of(name))]
+        else:
+            name = package_name(text)
+            found = [name] if known is None or name in known else []
+    except KeymintError as error:
+        raise (error.at(place) if place else error) from None
+    if not found:
+        what = f"no package matches {quote(text)}" if is_pattern else f"no package {name!r}"
+        usual = "'keymint status' lists the packages" if is_pattern else f"'keymint create {name}' makes it"
+        names = matched if is_pattern or known is None else known
+        typed = map(subject_of, names) if is_pattern or text.startswith("/") else names
+        raise KeymintError(
+            f"{what} in {session.workspace.shown(session.workspace.src)}",
+            where=place,
+            help=did_you_mean(text, typed, otherwise or usual),
+            code="package-unknown",
+        )
+    return found
+
+
+def _in_state(session: Session, state: str, names: Collection[str], threshold: Threshold) -> Collection[str]:
+    """Return those of some packages that are in a state, and perhaps others."""
+    # Few runs ask for a state.
+    from keymint.life.renewal_schedule import installed_terms, schedule  # noqa: PLC0415
+    from keymint.life.workspace_register import withdrawn  # noqa: PLC0415
+    from keymint.stages.package_status import package_rows  # noqa: PLC0415
+    from keymint.workspace.policy_loading import lazy_policy  # noqa: PLC0415
+
+    if state == "revoked":
+        return withdrawn(session)
+    if state == "due":
+        own = frozenset(session.packages())
+        due = schedule(session, installed_terms(session, [name for name in names if name in own]), threshold)
+        return [each.name for each in due.enclaves]
+    return [row.package for row in package_rows(session, lazy_policy(session)) if row.stale]
+
+
+def listed_names(content: bytes, file: str) -> Iterator[tuple[str, Origin]]:
+    """Yield the names in a list, one a line, with their places; what follows ``#`` is a comment.
+
+    Raises:
+        KeymintError: a line is not UTF-8, or has characters that nobody sees.
+    """
+    for number, line in enumerate(content.removeprefix(codecs.BOM_UTF8).split(b"\n"), 1):
+        where = Origin(file, number)
+        try:
+            name = line.decode().partition("#")[0].strip()
+        except UnicodeDecodeError:
+            raise KeymintError(
+                "the list of subjects is not UTF-8", where=where, help="save it as UTF-8", code="subjects-invalid"
+            ) from None
+        if not name.isprintable():
+            raise KeymintError(
+                f"the subject has characters that cannot be printed: {quote(name)}", where=where, help="remove them",
+                code="subjects-invalid",
+            )  # fmt: skip
+        if name:
+            yield name, where
