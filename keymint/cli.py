@@ -22,7 +22,7 @@ import click
 
 from comarmor.regex import lazy_regex
 from comarmor.text import one_line, printable_lines
-from keymint import SPACES, __version__
+from keymint import __version__
 from keymint.command_line.verb_group import VerbGroup
 from keymint.errors import ExitCode
 from keymint.host.streams_and_signals import Output, OutputError, StoppedError, received_signal, settle
@@ -42,45 +42,46 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
     },
     "Understand": {
         "lint": "Report unreachable, redundant and suspicious rules of a policy.",
-        "fmt": "Bring policy files into their canonical form.",
+        "diff": "Compare two policies: which subject gains or loses which permission.",
         "query": "Ask a policy who can do what, including subjects that it does not name.",
         "why": "Explain one decision, from policy to transport.",
-        "diff": "Compare two policies: which subject gains or loses which permission.",
         "graph": "Draw a policy, or the graph of a system.",
         "test": "Run the unit tests of a policy.",
+        "fmt": "Bring policy files into their canonical form.",
     },
     "Assure": {
         "check": "Compare the installed keystore with its expected state.",
         "status": "Show the stage and the expiry of every package.",
-        "prove": "Prove that installed documents permit exactly what the policy allows, for all names.",
         "verify": "Report mismatches between policy and transports, edge by edge.",
+        "prove": "Prove that installed documents permit exactly what the policy allows, for all names.",
     },
     "Life": {
         "renew": "Renew certificates and permissions that are due.",
         "revoke": "Revoke certificates, and issue new ones that old permissions do not fit.",
+        "authority": "Show, renew, replace, import or export the certificate authorities.",
         "issued": "List the certificates that were issued, and which are revoked.",
         "crl": "Show the revocation lists, or issue them again.",
-        "authority": "Show, renew, replace, import or export the certificate authorities.",
         "harden": "Mend what a keystore that was taken over lacks, step by step, each with its cost.",
     },
     "Robots": {
         "env": "Print the environment variables of a process that uses an enclave.",
+        "bundle": "Write installed enclaves into signed files for robots.",
         "request": "Ask for a certificate, on the robot: its key never leaves it.",
         "sign": "Certify keys that robots made.",
         "accept": "Take what the authority made for the enclaves of this robot.",
-        "bundle": "Write installed enclaves into signed files for robots.",
     },
     "Exchange": {
         "import": "Translate a policy of another tool, and prove that both mean the same.",
-        "export": "Write a policy in the language of another tool, proven to mean the same.",
         "adopt": "Examine a keystore that another tool made, and take it over.",
-        "discover": "Record the graph of a running system, or read captures of one.",
         "learn": "Generate the smallest policy that allows a graph.",
+        "discover": "Record the graph of a running system, or read captures of one.",
+        "export": "Write a policy in the language of another tool, proven to mean the same.",
     },
     "Tool": {
+        "explain": "Say what a code in a message means: cause, effect and remedy.",
+        "completion": "Print the completion script for a shell.",
         "plugins": "List the installed plugins.",
         "transports": "List the transports: which are usable here, and how to install the others.",
-        "completion": "Print the completion script for a shell.",
     },
 }
 """The verbs with their help, in groups; each is a folder of :mod:`keymint.commands`."""
@@ -98,12 +99,6 @@ class _Verbs(VerbGroup):
     GROUPS = GROUPS
     MODULES: Mapping[str, str] = MappingProxyType({"import": "import_policy"})
 
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        super().format_commands(ctx, formatter)
-        with formatter.section("Workspace layout (options of every verb that takes --workspace)"):
-            named = ((f"--{space}-space DIR", f"Directory of the {space} space [{space}/].") for space in SPACES)
-            formatter.write_dl([*named])
-
 
 @click.group(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(__version__, prog_name="keymint")
@@ -117,6 +112,9 @@ def cli() -> None:
     keymint build                             src/ -> build/     (unsigned)
     keymint install                           build/ -> install/ (signed)
     source install/keystore.bash              ROS 2 finds the keystore
+
+    'keymint VERB --help' describes a verb; with --help-all also its options that few users need. 'keymint explain CODE'
+    says more about an error or a finding.
 
     Exit codes: 0 done, 1 failure, 2 usage, 3 findings, 130 interrupted, 143 terminated.
     """
@@ -138,8 +136,7 @@ def main(arguments: list[str] | None = None) -> int:
                 out.flush()
         except OutputError as error:
             out.give_up()
-            if not error.broken_pipe:  # a reader that stops early, e.g. head, is not an error
-                err.write(f"keymint: error: standard output: {error}\n")
+            err.write(f"keymint: error: standard output: {error} [write-failed]\n")
             code = int(ExitCode.FAILURE)
         settle()
         err.flush()
@@ -204,7 +201,7 @@ def _fail(arguments: Sequence[str], code: str, message: str, exit_code: ExitCode
     """
     as_json = "--json" in arguments or ("diff" in arguments and bool(_JSON_FORMAT.search(" ".join(arguments))))
     if not as_json or getattr(sys.stdout, "began", False):
-        sys.stderr.write(f"{in_words}\n")
+        sys.stderr.write(f"{in_words} [{code}]\n")
         return int(exit_code)
     from comarmor.errors import Diagnostic  # noqa: PLC0415
     from keymint.output.console import Console, Streams  # noqa: PLC0415 - not needed for --help

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 
+from keymint.commands.tool.explain import explanations
 from tests.conftest import CHECKOUT
 
 SOURCES = sorted(path for folder in ("comarmor", "keymint", "plugins") for path in (CHECKOUT / folder).rglob("*.py"))
@@ -39,8 +40,9 @@ F_STRINGS = {
     "f'{owner}-incomplete'": each_of("certificate grant", "incomplete"),
     "f'size-{kind}'": each_of("size", "governance permissions"),
     "f'unknown-{what}'": each_of("unknown", "kind permission"),
+    "str(first.error)": each_of("false", "negative positive"),
 }
-"""The f-strings that give codes, and their values."""
+"""The f-strings and the calls that give codes, and their values."""
 NO_CODES = {"32", "expired", "keymint-graph", "keymint-tools", "ls-files", "not-yet-valid", "python-pkcs11"}
 NO_CODES |= {"slot-description", "slot-id", "slot-manufacturer", "utf-8", "utf-8-sig"}
 """Literals in the files of variables, and parts of codes, which look like codes."""
@@ -121,7 +123,7 @@ def values(expression: ast.expr, tree: ast.Module, known: Mapping[str, set[str]]
             return known[name]
         case ast.Name() if name == "code":
             return {text for text in literals(tree) if "-" in text}
-    return set()
+    return F_STRINGS.get(ast.unparse(expression), set())
 
 
 def codes_in(sources: Mapping[str, str]) -> dict[str, set[str]]:
@@ -164,13 +166,20 @@ def test_the_changelog_names_every_removed_code() -> None:
     assert [code for code in REMOVED.read_text().splitlines() if f"`{code}`" not in changelog] == []
 
 
+def test_every_code_is_explained_and_every_explained_code_exists() -> None:
+    """``keymint explain`` has a text about each; it is written where codes are added."""
+    listed = set(LISTED.read_text().splitlines())
+    assert listed - set(explanations()) == set(), "write cause, effect and remedy into explanations.toml"
+    assert set(explanations()) - listed == set()
+
+
 def test_every_expanded_f_string_exists() -> None:
     used = {ast.unparse(node) for path in SOURCES for node in ast.walk(ast.parse(path.read_text())) if is_text(node)}
     assert [text for text in F_STRINGS if text not in used] == []
 
 
 def is_text(node: ast.AST) -> bool:
-    return isinstance(node, ast.JoinedStr)
+    return isinstance(node, ast.JoinedStr | ast.Call)
 
 
 @pytest.mark.parametrize(

@@ -59,6 +59,7 @@ WRITING_VERBS = (
     ("export", POLICY, "--format", "sros2", "-o", "exported.xml"),
     ("query", POLICY, "who", "can", "publish", "/chatter"),
     ("diff", POLICY, f"HEAD:{POLICY}"),
+    ("explain", "usage"),
     ("plugins",),
     ("transports",),
     ("completion", "bash"),

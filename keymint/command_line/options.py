@@ -227,10 +227,11 @@ class DocumentOptions:
         "--optimise/--no-optimise",
         default=True,
         show_default=True,
+        hidden=True,
         help="Rewrite permissions into fewer rules and expressions, proven equivalent.",
     )
     hints: Path | None = path_option(
-        "Put frequent requests first: a CSV of subject,permission,object,count, or a graph."
+        "Put frequent requests first: a CSV of subject,permission,object,count, or a graph.", hidden=True
     )
 
 

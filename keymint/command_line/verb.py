@@ -23,6 +23,7 @@ from comarmor.values import dataclass
 from keymint import SPACES
 from keymint.api import GraphSource
 from keymint.api.plugin_loader import Plugins
+from keymint.command_line.verb_group import help_all
 from keymint.errors import KeymintError, usage_error
 from keymint.output.report import Report, findings_exit, findings_if
 from keymint.run.run import Run, Setting
@@ -36,6 +37,8 @@ Verb = Callable[..., Report]
 """The function of a verb; ``inspect.unwrap`` finds it below the callback of its click command."""
 PATH = click.Path(path_type=Path)
 FILE = click.Path(path_type=Path, dir_okay=False)
+_CHOSEN_BY_USERS = {"keymint.build_types", "keymint.transports"}
+"""The groups of plugins of which most users choose one."""
 
 
 def verb(*, of: str = "", name: str = "", **common: bool) -> Callable[[Verb], click.Command]:
@@ -76,6 +79,8 @@ def verb(*, of: str = "", name: str = "", **common: bool) -> Callable[[Verb], cl
         functools.update_wrapper(command, function)
         made = click.command(own_name)(click.pass_context(command))
         made.params += [*parameters, *shared]
+        has_hidden = any(isinstance(each, click.Option) and each.hidden for each in made.params)
+        made.params.append(help_all(hidden=not has_hidden))
         return made
 
     return decorate
@@ -188,8 +193,12 @@ def path_option(text: str, *names: str, kind: click.Path = PATH, metavar: str = 
 
 
 def plugin(group: str, text: str, *names: str, **settings: Any) -> Any:
-    """Return the default of an argument that names a plugin of an entry-point group; see :func:`option`."""
-    return option(*names, cls=PluginOption, group=group, help=text, **settings)
+    """Return the default of an argument that names a plugin of an entry-point group; see :func:`option`.
+
+    Only authors of plugins choose among those of most groups: the help page shows these options if it is asked for all.
+    """
+    hidden = group not in _CHOSEN_BY_USERS
+    return option(*names, cls=PluginOption, group=group, help=text, hidden=hidden, **settings)
 
 
 def argument(**settings: Any) -> Any:
@@ -268,14 +277,14 @@ def common_options(
             ["-w", "--workspace"],
             type=PATH,
             metavar="DIR",
-            help="Workspace directory [the one that contains the current directory]. 'keymint --help' lists "
-            "the options that move its spaces.",
+            help="Workspace directory [the one that contains the current directory].",
         )
     yield click.Option(["--json", "as_json"], is_flag=True, help="Print one JSON document (docs/json.md).")
     yield click.Option(["-v", "--verbose"], count=True, help="Show every step, file and note.")
     yield click.Option(["-q", "--quiet"], is_flag=True, help="Show errors only.")
-    for space in SPACES if workspace else ():  # 'keymint --help' lists them
-        yield click.Option([f"--{space}-space"], type=PATH, metavar="DIR", hidden=True)
+    for space in SPACES if workspace else ():
+        where = f"Directory of the {space} space [{space}/]."
+        yield click.Option([f"--{space}-space"], type=PATH, metavar="DIR", hidden=True, help=where)
     if jobs or processes:
         what = "Write N packages at a time [all cores]." if jobs else "Use N processes [all cores]."
         yield click.Option(["-j", "--jobs"], type=click.IntRange(1, 256), metavar="N", help=what)

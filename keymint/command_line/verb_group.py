@@ -5,12 +5,53 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Mapping
+from importlib import resources
 from types import MappingProxyType
+from typing import Any
 
 import click
 
-from comarmor.text import did_you_mean
+from comarmor.text import did_you_mean, nearest_word
 from keymint.host.streams_and_signals import held_signals
+
+HELP_ALL = "--help-all"
+
+
+def help_all(*, hidden: bool = False) -> click.Option:
+    """Return the option that shows the help page with the options that are hidden otherwise.
+
+    Args:
+        hidden: the command has none of them.
+    """
+
+    def show(context: click.Context, own: click.Parameter, given: object) -> None:
+        if not given or context.resilient_parsing:
+            return
+        others = (each for each in context.command.params if each is not own)
+        options = [each for each in others if isinstance(each, click.Option) and each.hidden]
+        for each in options:
+            each.hidden = False
+        click.echo(context.get_help(), color=context.color)
+        for each in options:
+            each.hidden = True
+        context.exit()
+
+    text = "Show this message with the options that few users need."
+    return click.Option(
+        [HELP_ALL], is_flag=True, is_eager=True, expose_value=False, hidden=hidden, help=text, callback=show
+    )
+
+
+def foreign_words(group: str) -> Mapping[str, str]:
+    """Return the words that other tools have for what a group of verbs does, with the verb that does it."""
+    import tomllib  # noqa: PLC0415 - only a wrong verb needs it
+
+    content = resources.files(__package__).joinpath("foreign_words.toml").read_text(encoding="utf-8")
+    return {
+        word: verb
+        for verb, words in tomllib.loads(content).get(group.replace(" ", "-"), {}).items()
+        for word in words.split()
+    }
 
 
 class VerbGroup(click.Group):
@@ -25,6 +66,10 @@ class VerbGroup(click.Group):
     GROUPS: Mapping[str, Mapping[str, str]]
     MODULE = "keymint.commands.{group}.{verb}"
     MODULES: Mapping[str, str] = MappingProxyType({})
+
+    def __init__(self, *arguments: Any, **settings: Any) -> None:
+        super().__init__(*arguments, **settings)
+        self.params.append(help_all(hidden=True))
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of the verbs."""
@@ -48,7 +93,12 @@ class VerbGroup(click.Group):
         """Return the verb that is called, and its arguments; a wrong name is a usage error with a suggestion."""
         verbs = self.list_commands(ctx)
         if args and args[0] not in verbs and not args[0].startswith("-"):
+            foreign = foreign_words(ctx.command_path)
+            word = args[0].lower().replace("_", "-")
+            near = word if word in foreign else nearest_word(word, [*verbs, *foreign])
             hint = did_you_mean(args[0], verbs, f"'{ctx.command_path} --help' lists the verbs")
+            if near in foreign:
+                hint = f"did you mean '{ctx.command_path} {foreign[near]}'?"
             ctx.fail(f"no verb {args[0]!r} ({hint})")
         return super().resolve_command(ctx, args)
 

@@ -41,12 +41,14 @@ class OutputError(Exception):
     """
 
     def __init__(self, error: OSError | ValueError) -> None:
-        self.broken_pipe = isinstance(error, BrokenPipeError)
         super().__init__(getattr(error, "strerror", None) or str(error))
 
 
 class Output(io.TextIOBase):
     """A standard stream that reports failed writes, and whether anything was written to it.
+
+    If a reader stops early, e.g. ``head``, the rest of the output is lost, and the run goes on to its end: a file that
+    half of a run would have written is worse than a line that nobody reads, and the exit code is that of the run.
 
     Args:
         stream: the stream; None if the process was started without it.
@@ -132,7 +134,7 @@ class Output(io.TextIOBase):
         try:
             yield
         except (OSError, ValueError) as error:
-            if self._required:
+            if self._required and not isinstance(error, ConnectionError):
                 raise OutputError(error) from error
             self.give_up()
 

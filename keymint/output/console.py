@@ -7,17 +7,18 @@ import io
 import itertools
 import json
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from datetime import datetime
-from typing import IO, Any
+from typing import IO, Any, TypeVar
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import encodable_value, one_line, printable_lines, quantity
 from comarmor.values import dataclass
 from keymint.host.streams_and_signals import Output
 from keymint.output.report import Report, report_json
+from keymint.output.roll_up import kind_of_diagnostic, kind_of_step, rolled_up
 from keymint.store.changes import Action, Step
 
 _COLOURS: Mapping[Severity, str] = {
@@ -25,6 +26,7 @@ _COLOURS: Mapping[Severity, str] = {
     Severity.WARNING: "33",
     Severity.NOTE: "36",
 }
+_T = TypeVar("_T")
 _PROGRESS_AFTER = 1.0
 """Seconds of work before a progress bar appears."""
 
@@ -102,9 +104,9 @@ class Console:
             document = json.dumps(encodable_value(report_json(report)), indent=2, ensure_ascii=True)
             self._streams.out.write(f"{document}\n")
             return
-        for diagnostic in report.diagnostics:
+        for diagnostic, number in self._rolled_up(report.diagnostics, kind_of_diagnostic):
             notes = report.notes if isinstance(report.notes, bool) else diagnostic.code in report.notes
-            self.diagnostic(diagnostic, notes=notes)
+            self.diagnostic(diagnostic, number, notes=notes)
         if self._verbosity >= 0:
             self._steps(report)
 
@@ -121,17 +123,27 @@ class Console:
         console.show(report)
         return out.getvalue(), err.getvalue()
 
-    def diagnostic(self, diagnostic: Diagnostic, *, notes: bool = False) -> None:
-        """Show one diagnostic: ``place: severity: message (help)``; notes only if verbose or wanted."""
+    def diagnostic(self, diagnostic: Diagnostic, number: int = 1, *, notes: bool = False) -> None:
+        """Show one diagnostic: ``place: severity: message (help) [code]``; notes only if verbose or wanted.
+
+        Args:
+            diagnostic: the diagnostic.
+            number: how many are like it; the others are not shown.
+            notes: show it although it is a note.
+        """
         if diagnostic.severity is Severity.NOTE and self._verbosity < (0 if notes else 1):
             return
         if diagnostic.severity is Severity.WARNING and self._verbosity < 0:
             return
         place = f"{diagnostic.where}: " if diagnostic.where else ""
         label = _paint(f"{diagnostic.severity}:", _COLOURS[diagnostic.severity], colour=self._streams.colour_err)
-        about = f" [{diagnostic.code}]" if self._verbosity > 0 else ""
         hint = f" ({diagnostic.help})" if diagnostic.help else ""
+        about = f" [{diagnostic.code}]" + (f" (1 of {number:,} alike; -v shows all)" if number > 1 else "")
         self._say_err(f"{one_line(place)}{label} {one_line(diagnostic.message + hint + about)}")
+
+    def _rolled_up(self, items: Sequence[_T], kind: Callable[[_T], Hashable]) -> Iterator[tuple[_T, int]]:
+        """Yield what is shown of items, each with the number of those that it stands for: all of them if verbose."""
+        return rolled_up(items, kind) if self._verbosity < 1 else ((each, 1) for each in items)
 
     def line(self, text: str = "") -> None:
         """Show a line of a result unless quiet or JSON, with unprintable characters escaped."""
@@ -181,10 +193,11 @@ class Console:
             self._line(text, "1" if index == 0 else "")
 
     def _steps(self, report: Report) -> None:
-        for step in report.steps:
-            if step.action is Action.UNCHANGED and self._verbosity < 1:
-                continue
+        told = [step for step in report.steps if step.action is not Action.UNCHANGED or self._verbosity > 0]
+        for step, number in self._rolled_up(told, kind_of_step):
             name = step.package or step.detail
+            if number > 1:
+                name = f"{number:,} {'packages' if step.package else 'items'}, e.g. {name}"
             detail = f"  ({step.detail})" if step.detail and step.package else ""
             label = _paint(f"{step.action:9}", "32", colour=self._streams.colour_out)
             self._line(f"{label} {one_line(f'{step.stage:11} {name}{detail}')}")
@@ -202,7 +215,7 @@ class Console:
             else:
                 counts = Counter(str(step.action) for step in report.steps)
                 would = "would be " if report.dry_run else ""
-                self.line(would + ", ".join(f"{counts[a]} {a}" for a in map(str, Action) if counts[a]))
+                self.line(would + ", ".join(f"{counts[a]:,} {a}" for a in map(str, Action) if counts[a]))
             # The total size of the built documents, if it differs from that of their plain form.
             sizes = [size for step in report.steps if step.action is not Action.UNCHANGED for size in step.sizes]
             now, plain = sum(size.bytes for size in sizes), sum(size.plain_bytes for size in sizes)

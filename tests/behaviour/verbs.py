@@ -311,9 +311,9 @@ def _tool(s: Steps) -> None:
         s.run(verb, "--help")
     for verb in ("show", "renew", "replace", "encrypt", "import", "export"):
         s.run("authority", verb, "--help")
-    for words in (("--version",), (), ("plugins",), ("transports",), ("nothing",), ("chek",), ("check", "--jsn"),
-                  ("init", "-j", 0), ("check",), ("authority",), ("authority", "sow"), ("env",), ("harden", "all"),
-                  ("revoke", "x"), ("export",)):  # fmt: skip
+    for words in (("--version",), (), ("plugins",), ("transports",), ("explain", "usage"), ("plan",), ("nothing",),
+                  ("chek",), ("check", "--jsn"), ("init", "-j", 0), ("check",), ("authority",), ("authority", "sow"),
+                  ("env",), ("harden", "all"), ("revoke", "x"), ("export",)):  # fmt: skip
         s.both(*words)
     for shell in ("bash", "zsh", "fish", "tcsh"):
         s.both("completion", shell)

@@ -43,7 +43,11 @@ def prove(
         help="Also stop after this time per enclave; undecided claims are unknown [no limit].",
     ),
     states: int = option(
-        type=click.IntRange(1), default=STATES, show_default=True, help="Stop after this many states per question."
+        type=click.IntRange(1),
+        default=STATES,
+        show_default=True,
+        hidden=True,
+        help="Stop after this many states per question.",
     ),
     allow_vendor_specific: bool = standard_only_option,
     strict: bool = strict_option,

@@ -47,7 +47,9 @@ class ProfileOptions:
         help="Layout of install/, of those that the transport has [the one that the distribution reads].",
     )
     subject_format: str | None = option(
-        metavar="NAME", help="Form of subject names in certificates, of those that the profile type has [unique]."
+        metavar="NAME",
+        hidden=True,
+        help="Form of subject names in certificates, of those that the profile type has [unique].",
     )
     valid_for: str | None = valid_for_option
 

@@ -36,7 +36,12 @@ def diff(
     new: str = argument(metavar="B"),
     kind: str = option("-f", "--format", type=click.Choice(FORMATS), default="text", show_default=True),
     budget: int = option(
-        default=STATES, show_default=True, metavar="STATES", type=click.IntRange(1), help="States to search."
+        default=STATES,
+        show_default=True,
+        metavar="STATES",
+        type=click.IntRange(1),
+        hidden=True,
+        help="States to search.",
     ),
     policy_options: PolicyOptions = policy_options,
 ) -> Report:

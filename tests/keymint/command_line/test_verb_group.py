@@ -7,23 +7,50 @@ import subprocess
 import sys
 from collections.abc import Callable
 
+import click
 import pytest
 
+from keymint.cli import cli
+from keymint.command_line.verb_group import VerbGroup, foreign_words
+from keymint.commands.life.authority import authority
 from tests.conftest import Outcome
 
 
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        (("autority",), "Error: no verb 'autority' (did you mean 'authority'?)"),
-        (("authority", "shwo"), "Error: no verb 'shwo' (did you mean 'show'?)"),
-        (("authority", "x"), "Error: no verb 'x' ('keymint authority --help' lists the verbs)"),
+        (("autority",), "Error: no verb 'autority' (did you mean 'authority'?) [usage]"),
+        (("authority", "shwo"), "Error: no verb 'shwo' (did you mean 'show'?) [usage]"),
+        (("authority", "x"), "Error: no verb 'x' ('keymint authority --help' lists the verbs) [usage]"),
+        (("plan",), "Error: no verb 'plan' (did you mean 'keymint provision --dry-run'?) [usage]"),
+        (("list_enclaves",), "Error: no verb 'list_enclaves' (did you mean 'keymint status'?) [usage]"),
+        (("new-cert",), "Error: no verb 'new-cert' (did you mean 'keymint request'?) [usage]"),
+        (("Docter",), "Error: no verb 'Docter' (did you mean 'keymint check'?) [usage]"),
+        (("authority", "rotate"), "Error: no verb 'rotate' (did you mean 'keymint authority replace'?) [usage]"),
     ],
 )
 def test_a_name_that_is_no_verb(keymint: Callable[..., Outcome], given: tuple[str, ...], said: str) -> None:
     outcome = keymint(*given)
     assert outcome.code == 2
     assert outcome.err.splitlines()[-1] == said
+
+
+@pytest.mark.parametrize("group", [cli, authority], ids=["keymint", "authority"])
+def test_words_of_other_tools_name_verbs(group: VerbGroup) -> None:
+    path = "keymint" if group is cli else f"keymint {group.name}"
+    context = click.Context(cli)
+    for word, said in foreign_words(path).items():
+        assert word == word.lower().replace("_", "-")
+        assert word not in group.list_commands(context)
+        name, *arguments = said.split()
+        if name.startswith("--"):
+            assert name in {"--help", "--version"}
+            continue
+        command = group.get_command(context, name)
+        assert command is not None, said
+        options = {each for parameter in command.params for each in parameter.opts}
+        verbs = command.list_commands(context) if isinstance(command, click.Group) else []
+        assert {*arguments} <= {*options, *verbs}, said
 
 
 @pytest.mark.parametrize("group", [(), ("authority",)], ids=["verbs", "authority"])

@@ -54,6 +54,7 @@ CALLS = {
     "test": ["test", "policy.xml"],
     "fmt": ["fmt", "policy.xml"],
     "graph": ["graph", "policy.xml"],
+    "explain": ["explain", "usage"],
     "plugins": ["plugins"],
     "transports": ["transports"],
     "completion": ["completion", "bash"],

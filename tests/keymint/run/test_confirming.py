@@ -40,7 +40,7 @@ def lose(folder: Path, *options: str, answer: str = "y\n", stdin: bool = True) -
 def test_yes_on_a_terminal_goes_on(tmp_path: Path, answer: str) -> None:
     outcome = lose(tmp_path, answer=answer)
     assert (outcome.code, outcome.out) == (0, "in detail\ndone\n")
-    assert outcome.err.count("warning: /talker loses its rights\n") == 1
+    assert outcome.err.count("warning: /talker loses its rights [rights-lost]\n") == 1
     assert outcome.err.count("Go on? [y/N] ") == 1
 
 
@@ -48,8 +48,8 @@ def test_yes_on_a_terminal_goes_on(tmp_path: Path, answer: str) -> None:
 def test_any_other_answer_stops(tmp_path: Path, answer: str) -> None:
     outcome = lose(tmp_path, answer=answer)
     assert (outcome.code, outcome.out) == (3, "in detail\n")
-    assert "warning: /talker loses its rights\n" in outcome.err
-    assert outcome.err.endswith("error: nothing was written, as you answered\n")
+    assert "warning: /talker loses its rights [rights-lost]\n" in outcome.err
+    assert outcome.err.endswith("error: nothing was written, as you answered [not-confirmed]\n")
 
 
 @pytest.mark.parametrize(("options", "stdin"), [(("-q",), True), (("--json",), True), ((), False)])
@@ -62,13 +62,13 @@ def test_nothing_is_asked_without_a_terminal_or_quietly(tmp_path: Path, options:
         found = [(each["code"], each["severity"]) for each in json.loads(outcome.out)["diagnostics"]]
         assert found == [("rights-lost", "error"), ("not-confirmed", "error")]
     else:
-        assert "error: /talker loses its rights\n" in outcome.err
-        assert outcome.err.endswith("error: nothing was written (if this is wanted, add --yes)\n")
+        assert "error: /talker loses its rights [rights-lost]\n" in outcome.err
+        assert outcome.err.endswith("error: nothing was written (if this is wanted, add --yes) [not-confirmed]\n")
 
 
 @pytest.mark.parametrize("option", ["--yes", "--dry-run"])
 def test_who_agreed_before_and_a_dry_run_are_only_told(tmp_path: Path, option: str) -> None:
     outcome = lose(tmp_path, option)
     assert (outcome.code, outcome.out) == (0, "done\n")
-    assert outcome.err.endswith("warning: /talker loses its rights\n")
+    assert outcome.err.endswith("warning: /talker loses its rights [rights-lost]\n")
     assert "Go on" not in outcome.err

@@ -41,7 +41,10 @@ def test_json(keymint, ws: Path) -> None:
 def test_an_unknown_enclave(keymint, ws: Path) -> None:
     outcome = keymint("env", "/tolker", "-w", "ws")
     assert (outcome.code, outcome.out) == (1, "")
-    assert outcome.err == "ws/install/enclaves: error: there is no enclave /tolker (did you mean '/talker'?)\n"
+    assert (
+        outcome.err
+        == "ws/install/enclaves: error: there is no enclave /tolker (did you mean '/talker'?) [enclave-unknown]\n"
+    )
     assert keymint("env", "/x;reboot", "-w", "ws", "--json").codes() == ["name-illegal"]
 
 

@@ -140,7 +140,7 @@ class TestForms:
         assert outcome.code == 0
         assert outcome.err == (
             "hints.csv: warning: the hints name /talkr, which is not a subject of this workspace "
-            "(did you mean '/talker'?)\n"
+            "(did you mean '/talker'?) [hints-subject]\n"
         )
 
     @pytest.mark.parametrize(

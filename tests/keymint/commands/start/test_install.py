@@ -161,6 +161,8 @@ def test_a_document_that_cannot_be_signed_is_named_where_it_lies(keymint, provis
     before = snapshot(provisioned / "install")
     outcome = keymint("install", cwd=provisioned)
     assert outcome.code == 1
-    message = "error: a document with a carriage return cannot be signed (save it with Unix line ends (LF))"
+    message = (
+        "error: a document with a carriage return cannot be signed (save it with Unix line ends (LF)) [smime-content]"
+    )
     assert outcome.err.splitlines()[0] == f"build/talker/{kind}.xml:1: {message}"
     assert snapshot(provisioned / "install") == before

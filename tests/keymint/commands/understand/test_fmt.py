@@ -160,7 +160,9 @@ def test_what_is_not_xml(keymint, tmp_path: Path) -> None:
     found = {"rules.csv": table, "fleet.sqlite": table, "notes.txt": other, "empty.xml": other, "image": other}
     outcome = keymint("fmt", *found, "broken.xml", "wide.xml")
     assert outcome.code == 1
-    assert outcome.err.splitlines()[:-1] == [f"{name}: error: {message}" for name, message in found.items()]
+    assert outcome.err.splitlines()[:-1] == [
+        f"{name}: error: {message} [format-unknown]" for name, message in found.items()
+    ]
     assert "broken.xml:2: error: not well-formed XML" in outcome.err.splitlines()[-1]
 
 
@@ -189,7 +191,7 @@ def test_standard_input_is_written_to_standard_output(keymint, monkeypatch: pyte
     monkeypatch.setattr(sys, "stdin", stdin(UNTIDY))
     outcome = keymint("fmt", "--check", "-")
     assert (outcome.code, outcome.out) == (3, "1 file to reformat, 0 unchanged\n")
-    assert outcome.err == "-:1: warning: the file is not in canonical form (keymint fmt -)\n"
+    assert outcome.err == "-:1: warning: the file is not in canonical form (keymint fmt -) [format]\n"
     monkeypatch.setattr(sys, "stdin", stdin("<profiles>"))
     outcome = keymint("fmt", "-")
     assert (outcome.code, outcome.out) == (1, "")
@@ -233,7 +235,10 @@ def test_a_file_that_changes_meanwhile_is_not_overwritten(
     monkeypatch.setattr(fmt, "replace_inputs", late)
     outcome = keymint("fmt", "policy", env={"KEYMINT_ADVICE": "0"})
     assert outcome.code == 1
-    assert outcome.err == "policy/p.xml: error: changed meanwhile (nothing was written; run the command again)\n"
+    assert (
+        outcome.err
+        == "policy/p.xml: error: changed meanwhile (nothing was written; run the command again) [file-changed]\n"
+    )
     assert "saved by an editor" in (folder / "p.xml").read_text()
     assert (folder / "p.test.xml").read_text() == TESTS
 

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint explain``: what the code of an error or a finding means."""
+
+from __future__ import annotations
+
+import textwrap
+import tomllib
+from collections.abc import Mapping
+from importlib import resources
+
+import click
+
+from comarmor.text import did_you_mean, quote
+from keymint.command_line.verb import Report, Run, argument, verb
+from keymint.errors import usage_error
+
+PARTS = ("cause", "effect", "remedy")
+_WIDTH = 80
+
+
+def explanations() -> Mapping[str, Mapping[str, str]]:
+    """Return the texts about each code: cause, effect and remedy."""
+    return tomllib.loads(resources.files(__package__).joinpath("explanations.toml").read_text(encoding="utf-8"))
+
+
+def _complete_code(_context: click.Context, _parameter: click.Parameter, incomplete: str) -> list[str]:
+    """Complete a code, for the shell."""
+    return [code for code in explanations() if code.startswith(incomplete)]
+
+
+@verb(workspace=False)
+def explain(
+    run: Run, codes: tuple[str, ...] = argument(nargs=-1, metavar="[CODE]...", shell_complete=_complete_code)
+) -> Report:
+    """Say what CODE means, which stands in brackets at the end of each message: cause, effect and remedy.
+
+    Without a CODE, list all codes. It needs neither a workspace nor a network.
+    """
+    known = explanations()
+    wanted = [each.strip("[]").lower() for each in codes] or [*known]
+    for code in wanted:
+        if code not in known:
+            listed = "'keymint explain' lists the codes; a code of a plugin is explained by its authors"
+            raise usage_error(f"no code {quote(code)}", did_you_mean(code, known, listed), "code-unknown")
+    if not codes:
+        rows = [{"code": code, "cause": texts["cause"].partition(". ")[0].rstrip(".")} for code, texts in known.items()]
+        run.console.table({"CODE": "code", "CAUSE": "cause"}, rows)
+    for number, code in enumerate(wanted if codes else ()):
+        run.console.lines(("", code) if number else (code,))
+        for part in PARTS:
+            run.console.lines(_paragraph(f"{part}:", known[code][part]))
+    return run.report({"codes": [{"code": code, **known[code]} for code in wanted]})
+
+
+def _paragraph(title: str, text: str) -> list[str]:
+    """Return the lines of a text, with a title before it."""
+    begin = f"  {title:8}"
+    return textwrap.wrap(text, _WIDTH, initial_indent=begin, subsequent_indent=" " * len(begin), break_on_hyphens=False)
