@@ -7,7 +7,7 @@ import io
 import itertools
 import json
 from collections import Counter
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from datetime import datetime
@@ -18,7 +18,6 @@ from comarmor.text import encodable_value, one_line, printable_lines, quantity
 from comarmor.values import dataclass
 from keymint.host.streams_and_signals import Output
 from keymint.output.report import Report, report_json
-from keymint.output.roll_up import kind_of_diagnostic, kind_of_step, rolled_up
 from keymint.store.changes import Action, Step
 
 _COLOURS: Mapping[Severity, str] = {
@@ -26,7 +25,9 @@ _COLOURS: Mapping[Severity, str] = {
     Severity.WARNING: "33",
     Severity.NOTE: "36",
 }
-_T = TypeVar("_T")
+FEW = 10
+"""So many messages or steps that are alike are shown one by one."""
+_T = TypeVar("_T", Diagnostic, Step)
 _PROGRESS_AFTER = 1.0
 """Seconds of work before a progress bar appears."""
 
@@ -104,7 +105,7 @@ class Console:
             document = json.dumps(encodable_value(report_json(report)), indent=2, ensure_ascii=True)
             self._streams.out.write(f"{document}\n")
             return
-        for diagnostic, number in self._rolled_up(report.diagnostics, kind_of_diagnostic):
+        for diagnostic, number in self._rolled_up(report.diagnostics):
             notes = report.notes if isinstance(report.notes, bool) else diagnostic.code in report.notes
             self.diagnostic(diagnostic, number, notes=notes)
         if self._verbosity >= 0:
@@ -141,9 +142,13 @@ class Console:
         about = f" [{diagnostic.code}]" + (f" (1 of {number:,} alike; -v shows all)" if number > 1 else "")
         self._say_err(f"{one_line(place)}{label} {one_line(diagnostic.message + hint + about)}")
 
-    def _rolled_up(self, items: Sequence[_T], kind: Callable[[_T], Hashable]) -> Iterator[tuple[_T, int]]:
+    def _rolled_up(self, items: Sequence[_T]) -> Iterator[tuple[_T, int]]:
         """Yield what is shown of items, each with the number of those that it stands for: all of them if verbose."""
-        return rolled_up(items, kind) if self._verbosity < 1 else ((each, 1) for each in items)
+        if len(items) <= FEW or self._verbosity > 0:
+            return ((each, 1) for each in items)
+        from keymint.output.roll_up import rolled_up  # noqa: PLC0415 - only fleets need it
+
+        return rolled_up(items, FEW)
 
     def line(self, text: str = "") -> None:
         """Show a line of a result unless quiet or JSON, with unprintable characters escaped."""
@@ -194,7 +199,7 @@ class Console:
 
     def _steps(self, report: Report) -> None:
         told = [step for step in report.steps if step.action is not Action.UNCHANGED or self._verbosity > 0]
-        for step, number in self._rolled_up(told, kind_of_step):
+        for step, number in self._rolled_up(told):
             name = step.package or step.detail
             if number > 1:
                 name = f"{number:,} {'packages' if step.package else 'items'}, e.g. {name}"
