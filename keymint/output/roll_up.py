@@ -35,7 +35,7 @@ def rolled_up(items: Sequence[_T], few: int) -> Iterator[tuple[_T, int]]:
 
 
 def _kind(item: Diagnostic | Step) -> tuple[str, str, str]:
-    """Return what is equal for items that are alike: what they are called, and their words without the names in them."""
+    """Return what is equal for items that are alike: what they are called, and their words without names."""
     if isinstance(item, Step):
         return item.stage, item.action, _without_names(item.detail, item.package)
     return item.code, item.severity, _without_names(item.message, item.subject)
