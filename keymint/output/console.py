@@ -17,7 +17,7 @@ from comarmor.errors import Diagnostic, Severity
 from comarmor.text import encodable_value, one_line, printable_lines, quantity
 from comarmor.values import dataclass
 from keymint.host.streams_and_signals import Output
-from keymint.output.report import Report, report_json
+from keymint.output.report import Report, report_json, rolled_up
 from keymint.store.changes import Action, Step
 
 _COLOURS: Mapping[Severity, str] = {
@@ -25,8 +25,6 @@ _COLOURS: Mapping[Severity, str] = {
     Severity.WARNING: "33",
     Severity.NOTE: "36",
 }
-FEW = 10
-"""So many messages or steps that are alike are shown one by one."""
 _T = TypeVar("_T", Diagnostic, Step)
 _PROGRESS_AFTER = 1.0
 """Seconds of work before a progress bar appears."""
@@ -144,11 +142,7 @@ class Console:
 
     def _rolled_up(self, items: Sequence[_T]) -> Iterator[tuple[_T, int]]:
         """Yield what is shown of items, each with the number of those that it stands for: all of them if verbose."""
-        if len(items) <= FEW or self._verbosity > 0:
-            return ((each, 1) for each in items)
-        from keymint.output.roll_up import rolled_up  # noqa: PLC0415 - only fleets need it
-
-        return rolled_up(items, FEW)
+        return rolled_up(items) if self._verbosity < 1 else ((each, 1) for each in items)
 
     def line(self, text: str = "") -> None:
         """Show a line of a result unless quiet or JSON, with unprintable characters escaped."""

@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from comarmor.errors import Diagnostic, Severity
+from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint.errors import ExitCode
 from keymint.store.changes import Step
@@ -17,6 +18,11 @@ from keymint.workspace.workspace import Workspace
 
 FORMAT = "keymint-report"
 VERSION = 2
+FEW = 10
+"""So many messages or steps that are alike are shown one by one."""
+_NAMES = lazy_regex(r"(?:(?:'[^']*'|\S*[/\d]\S*)[,;]?\s*)+")
+"""What differs between messages that say the same: quoted words, paths, names of ROS, and numbers."""
+_T = TypeVar("_T", Diagnostic, Step)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +68,40 @@ def merged_diagnostics(diagnostics: Sequence[Diagnostic]) -> tuple[Diagnostic, .
         same[0] if len(same) == 1 or not key.where else replace(key, message=f"{key.message} [{len(same)} packages]")
         for key, same in together.items()
     )
+
+
+def rolled_up(items: Sequence[_T]) -> Iterator[tuple[_T, int]]:
+    """Yield items, each with 1; where more than :data:`FEW` are alike, the first of them with their number.
+
+    A fleet so prints as few lines as a robot.
+
+    Args:
+        items: diagnostics or steps, in the order in which they are shown.
+    """
+    if len(items) <= FEW:
+        yield from ((each, 1) for each in items)
+        return
+    kinds = [_kind(each) for each in items]
+    numbers = Counter(kinds)
+    for item, own in zip(items, kinds, strict=True):
+        number = numbers[own]
+        if number > FEW:
+            numbers[own] = 0
+            yield item, number
+        elif number:
+            yield item, 1
+
+
+def _kind(item: Diagnostic | Step) -> tuple[str, str, str]:
+    """Return what is equal for items that are alike: what they are called, and their words without names."""
+    if isinstance(item, Step):
+        return item.stage, item.action, _without_names(item.detail, item.package)
+    return item.code, item.severity, _without_names(item.message, item.subject)
+
+
+def _without_names(text: str, subject: str) -> str:
+    name = subject.strip("/")
+    return _NAMES.sub("… ", text.replace(name, "/") if name else text)
 
 
 def findings_exit(diagnostics: Sequence[Diagnostic]) -> ExitCode:

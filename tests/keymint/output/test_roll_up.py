@@ -10,8 +10,8 @@ from collections.abc import Iterable
 import pytest
 
 from comarmor.errors import Diagnostic, Origin
-from keymint.output.console import FEW, Console, Streams
-from keymint.output.report import Report
+from keymint.output.console import Console, Streams
+from keymint.output.report import FEW, Report
 from keymint.store.changes import Action, FolderChange, Step
 
 
