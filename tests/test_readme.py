@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.conftest import CHECKOUT
+from tests.conftest import CHECKOUT, NOW
 
 CLOCK = "1795219200"  # 2026-11-21T00:00:00Z, when the quick start was written
 PAGES = sorted([*CHECKOUT.glob("*.md"), *(CHECKOUT / "docs").rglob("*.md"), *(CHECKOUT / "examples").rglob("*.md")])
@@ -98,7 +98,7 @@ def test_the_picture_of_the_fleet_is_what_keymint_draws(keymint, tmp_path: Path)
     assert outcome.code == 0, outcome.err
     committed = CHECKOUT / "docs" / "images" / "fleet.svg"
     assert (tmp_path / "fleet.svg").read_text() == committed.read_text(), (
-        "draw it again: keymint graph examples/fleet -o docs/images/fleet.svg"
+        f"draw it again: SOURCE_DATE_EPOCH={NOW} keymint graph examples/fleet -o docs/images/fleet.svg"
     )
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import stat
 from collections.abc import Mapping
@@ -10,11 +11,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from comarmor.errors import Origin
+from keymint import __version__
+from keymint.api import LoadedPolicy
 from keymint.errors import KeymintError
 from keymint.run.run import Run
 from keymint.store.changes import File
 from keymint.store.user_files import write_files
 from keymint.view.tree import read_file
+from keymint.workspace.session import Session
+from keymint.workspace.shipped_profiles import package_digest
 
 if TYPE_CHECKING:
     from keymint.drawing.labelled_graph import LabelledGraph
@@ -155,6 +160,34 @@ def source_files(run: Run, labelled: LabelledGraph) -> Mapping[str, bytes]:
     }
     files = sorted({each.file for place in places for each in (place, *place.chain)})
     return {file: read_input(run, Path(file)) for file in files if user_path(run, Path(file)).exists()}
+
+
+def made_of(
+    run: Run, policy: LoadedPolicy | None = None, session: Session | None = None, graph: bytes = b""
+) -> tuple[str, ...]:
+    """Return when and of what a picture or report is made, in lines: the same bytes on the same day, or at one clock.
+
+    Args:
+        run: the run.
+        policy: the policy; its digest is that of the sorted digests of the files that it was read from.
+        session: the workspace; the digest of its keystore is that of what ``sha256sum`` prints for all installed files
+            but private keys, sorted by path.
+        graph: content of the file with a graph; empty if there is none.
+    """
+    lines = [f"keymint {__version__}, {run.setting.now:%Y-%m-%d}"]
+    if graph:
+        lines.append(f"graph sha256 {hashlib.sha256(graph).hexdigest()}")
+    if policy is not None:
+        digests = sorted(f"{digest.hex()}\n" for path, digest in policy.seen.items() if path.is_file())
+        lines.append(f"policy sha256 {hashlib.sha256(''.join(digests).encode()).hexdigest()}")
+    if session is not None:
+        folder, tree = session.workspace.install, session.tree
+        paths = (path for path, is_folder in tree.walk(folder) if not is_folder and not path.endswith("key.pem"))
+        contents = {path.removeprefix(f"{folder}/"): tree.try_read(path) for path in paths}
+        files = {name: hashlib.sha256(content).hexdigest() for name, content in contents.items() if content is not None}
+        if files:
+            lines.append(f"keystore sha256 {package_digest(files)}")
+    return tuple(lines)
 
 
 def _current(path: Path) -> bytes | None:

@@ -43,6 +43,18 @@ OUTCOMES = {
 }
 """What is decided about an edge, in the order of pages."""
 
+SHORT_OUTCOMES = {
+    EdgeOutcome.FALSE_POSITIVE: "falsely allowed",
+    EdgeOutcome.FALSE_NEGATIVE: "falsely denied",
+    EdgeOutcome.ALLOW: "allowed",
+    EdgeOutcome.DENY: "denied",
+    EdgeOutcome.UNLABELLED: "without a decision",
+}
+"""The same in a word or two."""
+
+SIGNS = dict(zip((*OUTWARD[:4], *INWARD[:4], "relay"), "PEOWSCQRB", strict=True))
+"""Letters of roles in a matrix; Q is for requests, B for both ways."""
+
 _LONGEST = 44
 _WORD = lazy_regex(r"[^/_ ]*[/_ ]|[^/_ ]+\Z", re.DOTALL)
 """A word with the separator after it."""
@@ -159,8 +171,14 @@ _SHAPES = (
 .keymint .false .head{stroke-width:2.4}
 .keymint .hazard{fill:none;stroke-width:9}
 .keymint .alarm text{font-size:11px;font-weight:bold;text-anchor:middle}
-.keymint .group rect{stroke-width:3.2}
+.keymint .alike rect{stroke-width:3.2}
 .keymint .mark{font-size:11px}
+.keymint .sign rect{stroke-width:1.4}
+.keymint .sign text{font-size:11px;font-weight:bold;text-anchor:middle}
+.keymint .sign .bar{stroke-width:1.2;stroke-opacity:.6}
+.keymint .sign.false rect{stroke-width:3}
+.keymint .made{font-size:11px}
+.keymint .probe rect{stroke-dasharray:1.5 3}
 """
 )
 
@@ -184,13 +202,17 @@ def _colours(palette: Mapping[str, str]) -> str:
     for kind in KIND_NAMES:
         rules.append(f".keymint .{kind} rect{{fill:{palette[f'{kind}-fill']};stroke:{palette[kind]}}}")
         rules.append(f".keymint .{kind} .bullet{{fill:{palette[kind]}}}")
+    rules.append(f".keymint .stripe{{fill:{palette['rule']};fill-opacity:.3}}")
     rules.append(f".keymint .hazard{{stroke:{palette['hazard']}}}")
     rules.append(f".keymint .alarm path{{fill:{palette['danger']};stroke:{palette['background']}}}")
     rules.append(f".keymint .alarm text{{fill:{palette['background']}}}")
     for verdict in ("allow", "deny", "danger", "plain"):
         rules.append(f".keymint .{verdict} .curve,.keymint .{verdict} .head{{stroke:{palette[verdict]}}}")
         filled = palette["background"] if verdict == "deny" else palette[verdict]
-        rules.append(f".keymint .{verdict} .head{{fill:{filled}}}")
+        rules.append(f".keymint .{verdict} .head,.keymint .sign.{verdict} rect{{fill:{filled}}}")
+        letter = palette["deny" if verdict == "deny" else "background"]
+        rules.append(f".keymint .sign.{verdict} rect,.keymint .sign.{verdict} .bar{{stroke:{palette[verdict]}}}")
+        rules.append(f".keymint .sign.{verdict} text{{fill:{letter}}}")
     return "\n".join(rules) + "\n"
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import base64
 import hashlib
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib import resources
 from typing import Any
@@ -21,14 +21,15 @@ from comarmor.errors import citation
 from comarmor.text import one_line, quantity
 from keymint.api.graph import DomainObject, EdgeOutcome
 from keymint.drawing.appearance import KINDS, OUTCOMES, Theme, object_name, style_sheet
-from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph, select_edges
+from keymint.drawing.captions import left_out_words
+from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph
 from keymint.drawing.layout import NodeKey
-from keymint.drawing.simplify import EXPLICIT, DrawingOptions, priority, simplify
+from keymint.drawing.simplify import EXPLICIT, DrawingOptions, LeftOut, priority, simplify
 from keymint.drawing.svg import draw, environment
 
 MOST_ROWS = 10_000
 """Maximum number of edges in a report; false labels and explicit denials are listed beyond it. Next are allowed edges.
-The report states the number of unlisted edges."""
+The report states the number of unlisted edges by kind."""
 
 
 def html_report(labelled: LabelledGraph, sources: Mapping[str, bytes], picture: DrawingOptions | None = None) -> bytes:
@@ -44,9 +45,10 @@ def html_report(labelled: LabelledGraph, sources: Mapping[str, bytes], picture: 
     style = _text("report.css") + style_sheet(Theme.AUTO)
     script = _text("report.js")
     rows = page.rows()
-    listed = [row for of_subject in rows.values() for row in of_subject]
-    counts = Counter(row["outcome"] for row in listed)
-    total = max(len(labelled.edges), *(matrix.edges for matrix in labelled.confusions), 0)
+    missing = unlisted_edges(labelled)
+    counts = Counter(labelled.counts)
+    for (outcome, _), count in labelled.omitted.items():
+        counts[outcome] += count
     context = {
         "title": one_line(labelled.title),
         "style": Markup(style),  # noqa: S704 - ours
@@ -54,7 +56,8 @@ def html_report(labelled: LabelledGraph, sources: Mapping[str, bytes], picture: 
         "policy": f"default-src 'none'; style-src {_digest(style)}; script-src {_digest(script)}; "
         "base-uri 'none'; form-action 'none'",
         "size": f"{quantity(len(labelled.subjects), 'subject')}, {quantity(len(page.objects), 'object')}, "
-        f"{quantity(total, 'edge')}",
+        f"{quantity(labelled.total, 'edge')}",
+        "made": [one_line(text) for text in labelled.made],
         "verdicts": [
             {"value": outcome, "words": words, "count": counts[outcome]}
             for outcome, words in OUTCOMES.items()
@@ -63,29 +66,20 @@ def html_report(labelled: LabelledGraph, sources: Mapping[str, bytes], picture: 
         "transports": page.transports,
         "has_policy": any(one.policy for one in labelled.edges),
         "confusions": [(name, labelled.confusion(at)) for at, name in enumerate(page.transports)],
-        "differences": [row for row in listed if row["wrong"]],
-        "picture": Markup(draw(labelled, options, page.number)) if labelled.edges else "",  # noqa: S704 - escaped
-        "groups": list(_groups(labelled, options, page)) if labelled.edges else [],
+        "differences": [row for of_subject in rows.values() for row in of_subject if row["wrong"]],
+        "picture": Markup(draw(page.drawn, page.number)) if labelled.edges else "",  # noqa: S704 - escaped
         "subjects": [
             {"name": one_line(name), "number": page.number(name), "rows": rows[name]} for name in labelled.subjects
         ],
         "objects": page.object_rows(),
-        "unlisted": total - len(listed),
+        "unlisted": sum(missing.values()),
+        "missing": left_out_words(missing),
         "sources": [
             {"name": one_line(name), "at": at, "lines": [*_lines(content)]}
             for at, (name, content) in enumerate(sources.items())
         ],
     }
     return environment().get_template("report.html.j2").render(context).encode()
-
-
-def _groups(labelled: LabelledGraph, options: DrawingOptions, page: _Page) -> Iterator[Mapping[str, Any]]:
-    """Yield the groups of the picture, each with a picture of its subjects."""
-    for name, members in page.groups.items():
-        if len(members) > 1:
-            part = replace(select_edges(labelled, subjects=set(members)), title=name)
-            drawn = draw(part, replace(options, group=False), page.number)
-            yield {"name": one_line(name), "number": page.number(name), "picture": Markup(drawn)}  # noqa: S704 - escaped
 
 
 def _text(name: str) -> str:
@@ -101,6 +95,21 @@ def _lines(content: bytes) -> Iterator[str]:
         yield "\t".join(one_line(part) for part in line.removesuffix("\r").split("\t"))
 
 
+def listed_edges(labelled: LabelledGraph) -> Sequence[LabelledEdge]:
+    """Return the edges that a report lists, the most important ones first."""
+    needed = sum(priority(one) <= EXPLICIT for one in labelled.edges)
+    return sorted(labelled.edges, key=priority)[: max(MOST_ROWS, needed)]
+
+
+def unlisted_edges(labelled: LabelledGraph) -> Mapping[LeftOut, int]:
+    """Return the number of edges that a report does not list, by outcome and kind."""
+
+    def counted(edges: Iterable[LabelledEdge]) -> Counter[LeftOut]:
+        return Counter((one.outcome(), one.edge.object.kind) for one in edges)
+
+    return counted(labelled.edges) - counted(listed_edges(labelled)) + Counter(labelled.omitted)
+
+
 class _Page:
     """Numbers, rows and links of a report."""
 
@@ -109,9 +118,9 @@ class _Page:
         self._sources = {name: at for at, name in enumerate(sources)}
         self.transports = [one_line(name) for name in labelled.transports]
         self.objects: list[DomainObject] = sorted({one.edge.domain_object for one in labelled.edges})
-        self.groups = simplify(labelled, options).groups
-        keys: list[NodeKey] = [*labelled.subjects, *self.objects, *self.groups]
-        self._numbers = {key: at for at, key in enumerate(dict.fromkeys(keys))}
+        self.drawn = simplify(labelled, options)
+        keys: list[NodeKey] = [*labelled.subjects, *self.objects]
+        self._numbers = {key: at for at, key in enumerate(keys)}
 
     def number(self, key: NodeKey) -> int:
         """Return the number of a subject or object."""
@@ -119,11 +128,8 @@ class _Page:
 
     def rows(self) -> Mapping[str, Sequence[Mapping[str, Any]]]:
         """Return the listed edges by subject, the most important ones first."""
-        edges = self._labelled.edges
-        ordered = sorted(edges, key=priority)
-        needed = sum(priority(one) <= EXPLICIT for one in edges)
         rows: dict[str, list[Mapping[str, Any]]] = defaultdict(list)
-        for one in ordered[: max(MOST_ROWS, needed)]:
+        for one in listed_edges(self._labelled):
             rows[one.edge.subject].append(self._row(one))
         return rows
 
@@ -165,6 +171,7 @@ class _Page:
             "kind": KINDS[object_.kind],
             "kind_class": object_.kind,
             "pattern": object_ in self._labelled.patterns,
+            "probe": object_ in self._labelled.probes,
         }
 
     def object_rows(self) -> list[Mapping[str, Any]]:

@@ -11,7 +11,7 @@ import functools
 import itertools
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import field, replace
 from typing import NoReturn
 
 from comarmor.errors import Origin
@@ -89,6 +89,9 @@ class LabelledGraph:
         transports: names, in the order of every edge's ``transports``.
         patterns: objects whose name is an expression of the policy rather than a name.
         confusions: one per transport, if more edges were compared than this graph keeps; else empty.
+        omitted: number of edges that this graph does not keep, by outcome and kind of their object.
+        probes: objects whose name was made up to probe a pattern.
+        made: what it was made of and when, in lines.
     """
 
     title: str
@@ -97,6 +100,9 @@ class LabelledGraph:
     transports: tuple[str, ...] = ()
     patterns: frozenset[Object] = frozenset()
     confusions: tuple[ConfusionMatrix, ...] = ()
+    omitted: Mapping[tuple[EdgeOutcome, str], int] = field(default_factory=dict)
+    probes: frozenset[Object] = frozenset()
+    made: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -112,6 +118,11 @@ class LabelledGraph:
         ordered = tuple(sorted(edges, key=lambda labelled: labelled.edge))
         names = {*subjects, *(labelled.edge.subject for labelled in ordered)}
         return cls(title, ordered, tuple(sorted(names)), tuple(transports), frozenset(patterns), tuple(confusions))
+
+    @property
+    def total(self) -> int:
+        """Number of all edges, also of those that it does not keep."""
+        return len(self.edges) + sum(self.omitted.values())
 
     @property
     def counts(self) -> Mapping[EdgeOutcome, int]:
@@ -180,7 +191,7 @@ def select_edges(
         if (subjects is None or one.edge.subject in subjects) and (not only or one.outcome() in only)
     )
     kept = {one.edge.subject for one in edges} if only else set(labelled.subjects if subjects is None else subjects)
-    return replace(labelled, edges=edges, subjects=tuple(sorted(kept)), confusions=())
+    return replace(labelled, edges=edges, subjects=tuple(sorted(kept)), confusions=(), omitted={})
 
 
 def _refuse(message: str, name: str, known: Sequence[str]) -> NoReturn:

@@ -11,12 +11,12 @@ from __future__ import annotations
 
 from bisect import bisect_right, insort
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import accumulate
 
 from comarmor.text import one_line
 from comarmor.values import dataclass
-from keymint.api.graph import DomainObject, Object
+from keymint.api.graph import DomainObject
 from keymint.drawing.appearance import KINDS, columns, object_name, shorten
 from keymint.drawing.labelled_graph import LabelledEdge
 
@@ -85,22 +85,43 @@ class EdgeLine:
 
 
 @dataclass(frozen=True, slots=True)
+class Sign:
+    """An edge in a matrix.
+
+    Attributes:
+        labelled: the edge.
+        x: its middle, in pixels.
+        y: its middle.
+    """
+
+    labelled: LabelledEdge
+    x: float
+    y: float
+
+
+@dataclass(frozen=True, slots=True)
 class Panel:
-    """The layout of one graph, from (0, 0)."""
+    """The layout of one graph, from (0, 0); with lines, or as a matrix with signs."""
 
     heading: str
     boxes: tuple[NodeBox, ...]
     lines: tuple[EdgeLine, ...]
     width: float
     height: float
+    signs: tuple[Sign, ...] = ()
+
+
+def objects_in_order(edges: Iterable[LabelledEdge]) -> list[DomainObject]:
+    """Return the objects of edges, by kind and name."""
+    return sorted({one.edge.domain_object for one in edges}, key=_rank)
 
 
 def lay_out(
     heading: str,
     edges: Sequence[LabelledEdge],
     subjects: Sequence[str],
-    names: Mapping[Object, str],
-    marks: Mapping[str, str],
+    names: Mapping[DomainObject, str],
+    marks: Mapping[NodeKey, str],
 ) -> Panel:
     """Return the layout of a graph.
 
@@ -112,9 +133,9 @@ def lay_out(
         edges: its edges.
         subjects: its subjects, including those without an edge.
         names: labels of objects that replace their names.
-        marks: a second line of text for some subjects.
+        marks: a second line of text for some subjects and objects.
     """
-    objects = sorted({one.edge.domain_object for one in edges}, key=_rank)
+    objects = objects_in_order(edges)
     beside: dict[NodeKey, list[NodeKey]] = defaultdict(list)
     for one in edges:
         beside[one.edge.subject].append(one.edge.domain_object)
@@ -127,10 +148,9 @@ def lay_out(
         rightward = column_of[subject] < column_of[object_]
         sides[subject, rightward].append(one)
         sides[object_, rightward].append(one)
-    seconds: dict[NodeKey, str] = dict(marks.items())
     heights = {
         key: max(
-            _MARKED_HEIGHT if key in seconds else BOX_HEIGHT,
+            _MARKED_HEIGHT if key in marks else BOX_HEIGHT,
             PORT_DISTANCE * (1 + max(len(sides[key, side]) for side in (False, True))),
         )
         for key in column_of
@@ -138,16 +158,16 @@ def lay_out(
     tops = _tops(stacks, heights, beside)
 
     labels: dict[NodeKey, str] = {subject: shorten(one_line(subject)) for subject in subjects}
-    labels |= {key: shorten(names.get(key[1]) or object_name(key[1], key[0])) for key in objects}
+    labels |= {key: shorten(names.get(key) or object_name(key[1], key[0])) for key in objects}
     gap = min(_WIDEST, max(_NARROWEST, 60.0 + 8.0 * len(edges) ** 0.75))
     boxes: dict[NodeKey, NodeBox] = {}
     x = 0.0
     for stack in stacks:
-        longest = {key: max(columns(labels[key]), columns(seconds.get(key, ""))) for key in stack}
+        longest = {key: max(columns(labels[key]), columns(marks.get(key, ""))) for key in stack}
         width = max((longest[key] * CHARACTER + 2 * _PADDING + _BULLET for key in stack), default=0.0)
         for key in stack:
             kind = "subject" if isinstance(key, str) else key[1].kind
-            boxes[key] = NodeBox(key, kind, labels[key], x, tops[key], width, heights[key], seconds.get(key, ""))
+            boxes[key] = NodeBox(key, kind, labels[key], x, tops[key], width, heights[key], marks.get(key, ""))
         x += width + gap
     height = max((box.y + box.height for box in boxes.values()), default=0.0)
     return Panel(heading, tuple(boxes.values()), _lines(edges, boxes, sides), max(0.0, x - gap), height)

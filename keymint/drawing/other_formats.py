@@ -13,32 +13,44 @@ from comarmor.text import one_line
 from keymint.api.graph import EdgeOutcome
 from keymint.api.plugin_loader import how_to_add
 from keymint.drawing.appearance import FONTS, LIGHT, directions, edge_classes, object_name, sentence
+from keymint.drawing.captions import folded_name, marks_of, subtitle
 from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph
-from keymint.drawing.simplify import DrawingOptions, simplify
+from keymint.drawing.layout import NodeKey
+from keymint.drawing.simplify import DrawingOptions, SimplifiedGraph, simplify
 from keymint.errors import KeymintError
 
 
 def dot(labelled: LabelledGraph, options: DrawingOptions | None = None) -> bytes:
-    """Return a graph as a DOT document in UTF-8; ``dot -Tsvg`` draws it.
+    """Return a graph as a DOT document in UTF-8; ``dot -Tsvg`` draws it. Options as for :func:`dot_simplified`."""
+    return dot_document(dot_simplified(labelled, options or DrawingOptions()))
 
-    Args:
-        labelled: the graph.
-        options: the transport and the number of edges; others are ignored.
-    """
-    options = options or DrawingOptions()
-    drawn = simplify(labelled, replace(options, fold=False))
-    edges = drawn.edges
-    common = {name: f" (+{len(marks)} common)" for name, marks in drawn.marks.items()}
+
+def dot_simplified(labelled: LabelledGraph, options: DrawingOptions) -> SimplifiedGraph:
+    """Return the part of a graph that is drawn: as lines, all of them unless the options have a limit."""
+    return simplify(labelled, replace(options, group=False, limit=options.limit or max(1, labelled.total)))
+
+
+def dot_document(drawn: SimplifiedGraph) -> bytes:
+    """Return a DOT document in UTF-8 with what :func:`dot_simplified` returns."""
+    labelled, options, edges = drawn.labelled, drawn.options, drawn.edges
+    marks = marks_of(drawn)
+    names = {key: folded_name(members) for key, members in drawn.members.items() if len(members) > 1}
+    named = labelled.patterns | labelled.probes
+    caption = "\n".join((labelled.title, subtitle(drawn), *labelled.made))
     objects = {key: f"o{at}" for at, key in enumerate(sorted({one.edge.domain_object for one in edges}))}
-    subjects = {subject: f"s{at}" for at, subject in enumerate(drawn.groups)}
+    subjects = {subject: f"s{at}" for at, subject in enumerate(drawn.subjects)}
+
+    def node(key: NodeKey, kind: str, name: str, *, dashed: bool = False) -> str:
+        return _node(kind, name + (f" ({marks[key]})" if key in marks else ""), dashed=dashed)
+
     lines = [
         "digraph keymint {",
-        f"  graph [rankdir=LR, label={_quoted(labelled.title)}, labelloc=t, fontname=monospace]",
+        f"  graph [rankdir=LR, label={_quoted_lines(caption)}, labelloc=t, fontname=monospace]",
         "  node [style=filled, fontname=monospace]",
-        *(f"  {at} [{_node('subject', one_line(name) + common.get(name, ''))}]" for name, at in subjects.items()),
+        *(f"  {at} [{node(name, 'subject', one_line(name))}]" for name, at in subjects.items()),
         *(
-            f"  {at} [{_node(object_.kind, object_name(object_, domain), dashed=object_ in labelled.patterns)}]"
-            for (domain, object_), at in objects.items()
+            f"  {at} [{node(key, key[1].kind, names.get(key) or object_name(key[1], key[0]), dashed=key[1] in named)}]"
+            for key, at in objects.items()
         ),
         *(
             f"  {subjects[one.edge.subject]} -> {objects[one.edge.domain_object]} "
@@ -53,6 +65,10 @@ def dot(labelled: LabelledGraph, options: DrawingOptions | None = None) -> bytes
 def _quoted(text: str) -> str:
     r"""Return a quoted string of DOT; an unescaped ``\`` starts an escape in a label."""
     return '"' + one_line(text).replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+def _quoted_lines(text: str) -> str:
+    return '"' + r"\n".join(_quoted(line)[1:-1] for line in text.split("\n")) + '"'
 
 
 def _node(kind: str, label: str, *, dashed: bool = False) -> str:

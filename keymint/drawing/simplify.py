@@ -1,28 +1,36 @@
 # SPDX-License-Identifier: Apache-2.0
 """Options for drawing a graph, and its reduction to what a picture has room for.
 
-Common rules become a mark, subjects of a namespace become a group, and objects with the same edges become one. Then
-edges are left out, but never false positives or what a rule denies explicitly.
+One robot is drawn for all that are alike, an action or parameters for the services that they consist of, a mark for
+common rules, and one object for those with the same edges. What is still too much for lines becomes matrices. Beyond a
+limit edges are left out, never false positives or what a rule denies explicitly, and counted by kind.
 """
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from enum import StrEnum
 from itertools import islice
 
-from comarmor.text import one_line, quantity
+from comarmor.rules import PARTS
 from comarmor.values import dataclass
-from keymint.api.graph import DomainObject, EdgeOutcome
-from keymint.drawing.appearance import KINDS, Theme
+from keymint.api.graph import DomainObject, Edge, EdgeOutcome, Object
+from keymint.drawing.alike import Alike, AlikeFold, fold_alike
+from keymint.drawing.appearance import Theme
 from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, namespace
 
 FOLD_FROM = 40
 """Objects from which on a graph's objects are folded by default."""
 GROUP_FROM = 30
-"""Subjects beyond which a graph's subjects are grouped by default, and the most groups if names have enough levels."""
+"""Subjects beyond which robots that are alike are drawn once by default, and subjects that remain as matrices."""
+MOST_LINES = 600
+"""Lines that are legible in one picture; more edges are drawn as matrices."""
+MOST_SIGNS = 20_000
+"""Edges in matrices, about 300 bytes each."""
+
+LeftOut = tuple[EdgeOutcome, str]
+"""What an edge that is not drawn is counted by: its outcome, and the kind of its object."""
 
 
 class Split(StrEnum):
@@ -41,19 +49,22 @@ class DrawingOptions:
         theme: colours.
         split: one panel, or one per subject or namespace of subjects.
         transport: index of the transport whose labels are drawn; None for all together.
-        limit: the maximum number of edges; see :func:`shown_edges`.
-        fold: draw objects with the same edges as one; None does so in large graphs only.
-        group: draw the subjects of a namespace as one; None does so in large graphs only.
+        limit: the maximum number of edges; None draws as many as are legible, see :func:`shown_edges`.
+        fold: draw one of the robots that are alike, and objects with the same edges as one; None does so in large
+            graphs only.
+        group: draw the subjects of a namespace as a matrix; None does so in large graphs only.
         common: draw the edges of common rules; False puts a mark at the subject instead.
+        denials: draw denials without a rule also where that takes more lines than :data:`MOST_LINES`.
     """
 
     theme: Theme = Theme.AUTO
     split: Split = Split.NONE
     transport: int | None = None
-    limit: int = 600
+    limit: int | None = None
     fold: bool | None = None
     group: bool | None = None
     common: bool = False
+    denials: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,110 +74,160 @@ class SimplifiedGraph:
     Attributes:
         labelled: the graph.
         options: drawing options.
-        edges: the lines, sorted.
-        groups: the subjects of each group by its name; a subject that is not grouped is its own group.
-        marks: the common edges that are not drawn, by group of their subject.
+        edges: the lines, or signs of a matrix, sorted.
+        stands: all edges that each of them stands for.
+        subjects: the subjects that are drawn, each with those that it stands for.
+        alike: robots of which one is drawn.
+        others: objects of another robot than the subjects at their edges.
+        marks: the common edges that are not drawn, by subject.
         members: the objects of each drawn object.
-        left_out: number of lines without room.
+        copies: what a drawn object stands for, besides itself the same object of robots that are alike.
+        matrices: whether the edges are drawn as matrices.
+        left_out: number of edges that are not drawn, by outcome and kind of their object.
     """
 
     labelled: LabelledGraph
     options: DrawingOptions
     edges: tuple[LabelledEdge, ...]
-    groups: Mapping[str, tuple[str, ...]]
+    stands: Mapping[LabelledEdge, Sequence[LabelledEdge]]
+    subjects: Mapping[str, tuple[str, ...]]
+    alike: tuple[Alike, ...]
+    others: frozenset[DomainObject]
     marks: Mapping[str, Sequence[LabelledEdge]]
     members: Mapping[DomainObject, tuple[DomainObject, ...]]
-    left_out: int
+    copies: Mapping[DomainObject, tuple[DomainObject, ...]]
+    matrices: bool
+    left_out: Mapping[LeftOut, int]
+
+    @property
+    def folded(self) -> int:
+        """Number of edges that have no line of their own, because a line or mark stands for them."""
+        return self.labelled.total - len(self.edges) - sum(self.left_out.values())
+
+
+_Stands = dict[LabelledEdge, list[LabelledEdge]]
+"""Edges, each with all edges that it stands for."""
 
 
 def simplify(labelled: LabelledGraph, options: DrawingOptions) -> SimplifiedGraph:
-    """Return the part of a graph that is drawn."""
-    # A mark stands for an edge that a common rule allows, if the transport allows it, too.
-    marked: dict[LabelledEdge, None] = {}
-    if not options.common:
-        common = (one for one in labelled.edges if one.common)
-        marked = dict.fromkeys(one for one in common if one.outcome(options.transport) is EdgeOutcome.ALLOW)
-    edges: Sequence[LabelledEdge] = [one for one in labelled.edges if one not in marked]
-    is_large = options.split is Split.NONE and len(labelled.subjects) > GROUP_FROM
-    by_namespace = _groups(labelled.subjects) if options.group or (options.group is None and is_large) else {}
-    groups = by_namespace if len(by_namespace) > 1 else {subject: (subject,) for subject in labelled.subjects}
-    group_of = {subject: name for name, subjects in groups.items() for subject in subjects}
-    if groups is by_namespace:
-        edges = _group_edges(edges, group_of)
-    members: Mapping[DomainObject, tuple[DomainObject, ...]] = {
-        key: (key,) for key in {one.edge.domain_object for one in edges}
+    """Return the part of a graph that is drawn. Each edge is drawn, or another stands for it, or it is counted."""
+    every = AlikeFold(
+        {one: [one] for one in labelled.edges}, {subject: (subject,) for subject in labelled.subjects}, frozenset(), ()
+    )
+    stands, marked = _without_marked(_without_parts(every.edges), options)
+    single = options.split is Split.NONE
+    large = len(stands) > (options.limit or MOST_LINES) or (single and len(labelled.subjects) > GROUP_FROM)
+    folded = every
+    if options.fold or (options.fold is None and large):
+        folded = fold_alike(labelled.edges, labelled.subjects)
+        stands, marked = _without_marked(_without_parts(folded.edges), options)
+    copies = _copies(folded.edges)
+    left: list[LabelledEdge] = []
+    if not options.denials and len(stands) > MOST_LINES:
+        left += (one for edge in stands if priority(edge, options.transport) == _DEFAULT_DENIAL for one in stands[edge])
+        stands = {one: of for one, of in stands.items() if priority(one, options.transport) < _DEFAULT_DENIAL}
+    members: dict[DomainObject, tuple[DomainObject, ...]] = {
+        key: (key,) for key in {one.edge.domain_object for one in stands}
     }
     if options.fold or (options.fold is None and len(members) >= FOLD_FROM):
-        edges, members = _fold(edges)
-    shown = shown_edges(edges, options)
+        stands, members = _fold(stands, copies)
+    edges = sorted(stands, key=lambda one: one.edge)
+    many = options.limit is None and len(edges) > MOST_LINES
+    crowded = many or (single and len(folded.subjects) > GROUP_FROM)
+    matrices = crowded if options.group is None else options.group
+    shown = shown_edges(edges, options, matrices=matrices)
+    kept = frozenset(shown)
+    left += (one for edge in edges if edge not in kept for one in stands[edge])
     marks: dict[str, list[LabelledEdge]] = defaultdict(list)
     for one in marked:
-        marks[group_of[one.edge.subject]].append(one)
-    return SimplifiedGraph(labelled, options, shown, groups, marks, members, len(edges) - len(shown))
+        marks[one.edge.subject].append(one)
+    left_out = Counter((one.outcome(options.transport), one.edge.object.kind) for one in left)
+    return SimplifiedGraph(
+        labelled,
+        options,
+        shown,
+        {one: stands[one] for one in shown},
+        folded.subjects,
+        folded.classes,
+        folded.others,
+        marks,
+        members,
+        copies,
+        matrices,
+        left_out + Counter(labelled.omitted),
+    )
 
 
-# -- groups of subjects ----------------------------------------------------------------------------------------------
+# -- edges that another stands for -----------------------------------------------------------------------------------
 
 
-def _groups(subjects: Sequence[str]) -> Mapping[str, tuple[str, ...]]:
-    """Return the subjects of each group by the group's label; a subject alone in its namespace keeps its name.
-
-    The groups are the namespaces of the deepest level that has at most :data:`GROUP_FROM` of them.
-
-    Args:
-        subjects: names, sorted.
-    """
-    deepest = max((namespace(subject).count("/") for subject in subjects), default=1)
-    groups: dict[str, list[str]] = {}
-    for depth in range(deepest, 0, -1):
-        groups = defaultdict(list)
-        for subject in subjects:
-            levels = namespace(subject).split("/")[:depth]  # "/" alone is one level
-            groups["/".join([*levels, ""])].append(subject)
-        if len(groups) <= GROUP_FROM:
-            break
-    return {
-        members[0] if len(members) == 1 else f"{prefix}… ({quantity(len(members), 'subject')})": tuple(members)
-        for prefix, members in groups.items()
-    }
+def _without_parts(stands: Mapping[LabelledEdge, Sequence[LabelledEdge]]) -> _Stands:
+    """Return the edges without services and topics of actions and parameters that a subject may use as a whole."""
+    whole_of: dict[tuple[Edge, object], LabelledEdge] = {}
+    for one in stands:
+        edge = one.edge
+        for kind, permission, suffix in PARTS.get((edge.object.kind, edge.permission), ()):
+            part = Edge(edge.subject, permission, Object(kind, edge.object.name + suffix), edge.domain)
+            whole_of[part, _judged(one)] = one
+    found: _Stands = defaultdict(list)
+    for one, those in stands.items():
+        found[whole_of.get((one.edge, _judged(one)), one)] += those
+    return dict(found)
 
 
-def _group_edges(edges: Sequence[LabelledEdge], group_of: Mapping[str, str]) -> tuple[LabelledEdge, ...]:
-    """Return the edges of groups: one for all members that have it with the same labels."""
-    grouped: dict[tuple[object, ...], LabelledEdge] = {}
-    for one in edges:
-        edge = replace(one.edge, subject=group_of[one.edge.subject])
-        grouped.setdefault((edge, one.decisions, one.audit), replace(one, edge=edge))
-    return tuple(sorted(grouped.values(), key=lambda one: one.edge))
+def _judged(one: LabelledEdge) -> tuple[object, ...]:
+    """Return all that a picture shows of an edge but its ends: edges are merged only if it is the same."""
+    return one.decisions, one.audit, one.common, one.policy is not None and one.policy.where is not None
+
+
+def _without_marked(stands: _Stands, options: DrawingOptions) -> tuple[_Stands, tuple[LabelledEdge, ...]]:
+    """Return the edges, and those that a mark stands for: a common rule allows them, and so does the transport."""
+    marked = [
+        one
+        for one in stands
+        if one.common and not options.common and one.outcome(options.transport) is EdgeOutcome.ALLOW
+    ]
+    apart = frozenset(marked)
+    return {one: those for one, those in stands.items() if one not in apart}, tuple(marked)
+
+
+def _copies(stands: Mapping[LabelledEdge, Sequence[LabelledEdge]]) -> Mapping[DomainObject, tuple[DomainObject, ...]]:
+    """Return the objects that the object of each edge stands for."""
+    copies: dict[DomainObject, dict[DomainObject, None]] = defaultdict(dict)
+    for one, those in stands.items():
+        copies[one.edge.domain_object].update(dict.fromkeys(each.edge.domain_object for each in those))
+    return {key: tuple(each) for key, each in copies.items()}
 
 
 # -- folded objects --------------------------------------------------------------------------------------------------
 
 
 def _fold(
-    edges: Sequence[LabelledEdge],
-) -> tuple[tuple[LabelledEdge, ...], dict[DomainObject, tuple[DomainObject, ...]]]:
+    stands: _Stands, copies: Mapping[DomainObject, Sequence[DomainObject]]
+) -> tuple[_Stands, dict[DomainObject, tuple[DomainObject, ...]]]:
     """Fold objects of one kind and namespace whose edges have the same subjects, permissions and labels.
 
     Returns:
         The edges of the first object of each fold, by name, and the objects of each fold.
     """
     signatures: dict[DomainObject, set[object]] = defaultdict(set)
-    for one in edges:
-        signatures[one.edge.domain_object].add((one.edge.subject, one.edge.permission, one.audit, one.decisions))
+    for one in stands:
+        signatures[one.edge.domain_object].add((one.edge.subject, one.edge.permission, _judged(one)))
     folds: dict[object, list[DomainObject]] = defaultdict(list)
     for (domain, object_), signature in signatures.items():
-        place = (domain, object_.kind, namespace(object_.name), object_.partitions)
+        place = (domain, object_.kind, namespace(object_.name), object_.partitions, len(copies[domain, object_]))
         folds[(*place, frozenset(signature))].append((domain, object_))
-    members = {min(fold): tuple(sorted(fold)) for fold in folds.values()}
-    return tuple(one for one in edges if one.edge.domain_object in members), members
-
-
-def folded_name(members: Sequence[DomainObject]) -> str:
-    """Return the label of folded objects: ``/talker/… (6 services)``."""
-    first = members[0][1]
-    noun = KINDS[first.kind]
-    return one_line(f"{namespace(first.name)}… ({len(members)} {noun}{'' if noun.endswith('s') else 's'})")
+    first_of = {key: min(fold) for fold in folds.values() for key in fold}
+    drawn = {
+        (one.edge.subject, one.edge.permission, one.edge.domain_object, _judged(one)): one
+        for one in stands
+        if first_of[one.edge.domain_object] == one.edge.domain_object
+    }
+    found: _Stands = defaultdict(list)
+    for one, those in stands.items():
+        first = first_of[one.edge.domain_object]
+        found[drawn[one.edge.subject, one.edge.permission, first, _judged(one)]] += those
+    return dict(found), {min(fold): tuple(sorted(fold)) for fold in folds.values()}
 
 
 # -- left out edges --------------------------------------------------------------------------------------------------
@@ -186,16 +247,19 @@ def priority(one: LabelledEdge, transport: int | None = None) -> int:
     return EXPLICIT if one.policy is not None and one.policy.where is not None else _DEFAULT_DENIAL
 
 
-def shown_edges(edges: Sequence[LabelledEdge], options: DrawingOptions) -> tuple[LabelledEdge, ...]:
+def shown_edges(
+    edges: Sequence[LabelledEdge], options: DrawingOptions, *, matrices: bool = False
+) -> tuple[LabelledEdge, ...]:
     """Return the edges that a picture has room for, in the same order.
 
     Beyond the limit all default denials are left out first: showing only some would suggest that the others are
     allowed. Next are allowed edges. False labels and explicit denials stay, however many there are.
     """
-    if len(edges) <= options.limit:
+    limit = options.limit or (MOST_SIGNS if matrices else MOST_LINES)
+    if len(edges) <= limit:
         return tuple(edges)
     priorities = {one: priority(one, options.transport) for one in edges}
     kept = {one for one in edges if priorities[one] <= EXPLICIT}
     others = (one for one in edges if EXPLICIT < priorities[one] < _DEFAULT_DENIAL)
-    kept.update(islice(others, max(0, options.limit - len(kept))))
+    kept.update(islice(others, max(0, limit - len(kept))))
     return tuple(one for one in edges if one in kept)

@@ -11,13 +11,15 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache
 from typing import TYPE_CHECKING
 
-from comarmor.text import one_line, quantity
+from comarmor.text import one_line
 from keymint.api.graph import EdgeOutcome
+from keymint.drawing.alike import natural
 from keymint.drawing.appearance import (
     INWARD,
     KINDS,
     OUTCOMES,
     OUTWARD,
+    SIGNS,
     columns,
     directions,
     edge_classes,
@@ -27,9 +29,11 @@ from keymint.drawing.appearance import (
     shorten,
     style_sheet,
 )
+from keymint.drawing.captions import folded_name, marks_of, subtitle
 from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, namespace
-from keymint.drawing.layout import CHARACTER, EdgeLine, NodeBox, NodeKey, Panel, lay_out
-from keymint.drawing.simplify import DrawingOptions, SimplifiedGraph, Split, folded_name, priority, simplify
+from keymint.drawing.layout import CHARACTER, EdgeLine, NodeBox, NodeKey, Panel, Sign, lay_out
+from keymint.drawing.matrix import lay_out_matrix, matrix_parts
+from keymint.drawing.simplify import DrawingOptions, SimplifiedGraph, Split, priority, simplify
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -53,8 +57,10 @@ _DOT_DOWN = _AT**3 + 3 * _AT**2 * (1 - _AT)
 LegendEntry = tuple[str, str, str]
 """An entry of the legend: its text, its classes of the style sheet, and what is drawn beside the text.
 
-That is a ``box``, ``dot``, ``arrow``, ``barred``, ``both`` or ``mark``.
+That is a ``box``, ``dot``, ``sign``, ``arrow``, ``barred``, ``both`` or the text of a mark.
 """
+_MOST_NAMES = 40
+"""Names in the tooltip of a box."""
 NodeNumber = Callable[[NodeKey], int]
 """Returns the number of a subject, group or object in a page, which describes it at ``#n<number>``."""
 
@@ -90,15 +96,16 @@ def svg(labelled: LabelledGraph, options: DrawingOptions | None = None) -> bytes
         labelled: the graph.
         options: drawing options.
     """
-    return draw(labelled, options or DrawingOptions(), None).encode()
+    return draw(simplify(labelled, options or DrawingOptions())).encode()
 
 
-def draw(labelled: LabelledGraph, options: DrawingOptions, number: NodeNumber | None) -> str:
+def draw(drawn: SimplifiedGraph, number: NodeNumber | None = None) -> str:
     """Return a picture as a document, or as an element to embed in a page that has the style sheet."""
-    drawn = simplify(labelled, options)
-    names = {key[1]: folded_name(members) for key, members in drawn.members.items() if len(members) > 1}
-    marks = {name: f"+{len(common)} common" for name, common in drawn.marks.items()}
-    panels = [lay_out(*part, names, marks) for part in _parts(drawn)]
+    labelled, options = drawn.labelled, drawn.options
+    names = {key: folded_name(members) for key, members in drawn.members.items() if len(members) > 1}
+    marks = marks_of(drawn)
+    lay = lay_out_matrix if drawn.matrices else lay_out
+    panels = [lay(*part, names, marks) for part in _parts(drawn)]
     width = max((_LEAST_WIDTH, *(panel.width for panel in panels)))
     widths = [max(panel.width, columns(panel.heading) * CHARACTER * 13 / 12) for panel in panels]
     headings = [LINE if panel.heading else 0.0 for panel in panels]
@@ -107,23 +114,27 @@ def draw(labelled: LabelledGraph, options: DrawingOptions, number: NodeNumber | 
     places, sheet_width, sheet_height = _in_rows(zip(widths, heights, strict=True), most, _PANEL_GAP)
     width = max(sheet_width, _LEAST_WIDTH)
     samples, legend_height = _place_entries([*legend(drawn, panels)], width)
-    subtitle = _subtitle(drawn)
-    subtitles = textwrap.wrap(subtitle, int(width / CHARACTER), break_long_words=False, break_on_hyphens=False)
+    caption = subtitle(drawn)
+    subtitles = textwrap.wrap(caption, int(width / CHARACTER), break_long_words=False, break_on_hyphens=False)
     top = MARGIN + (1 + len(subtitles)) * LINE
     legend_top = top + 4
     panel_top = legend_top + legend_height + 18
+    bottom = panel_top + sheet_height + MARGIN
+    made = [line for text in labelled.made for line in textwrap.wrap(one_line(text), int(width / CHARACTER))]
     left = MARGIN + (max(0.0, width - sheet_width) / 2)
     template = environment().get_template("picture.svg.j2")
     return template.render(
         title=one_line(labelled.title),
         heading=shorten(one_line(labelled.title), int(width / (CHARACTER * 15 / 12))),
-        subtitle=subtitle,
+        subtitle=caption,
         subtitles=[(text, MARGIN + 34 + at * LINE) for at, text in enumerate(subtitles)],
         style=None if number else style_sheet(options.theme),
         standalone=number is None,
         width=_number(width + 2 * MARGIN),
-        height=_number(panel_top + sheet_height + MARGIN),
+        height=_number(bottom + len(made) * LINE),
+        made=[(text, bottom + 6 + at * LINE) for at, text in enumerate(made)],
         margin=MARGIN,
+        matrix=drawn.matrices,
         legend=samples,
         legend_top=legend_top,
         rule_y=panel_top - 12,
@@ -137,6 +148,8 @@ def draw(labelled: LabelledGraph, options: DrawingOptions, number: NodeNumber | 
                     for line in sorted(panel.lines, key=lambda line: -priority(line.labelled, options.transport))
                 ],
                 "boxes": [_box(box, drawn, number) for box in panel.boxes],
+                "signs": [_sign(sign, drawn, number) for sign in panel.signs],
+                "width": panel.width,
             }
             for panel, (x, y), heading in zip(panels, places, headings, strict=True)
         ],
@@ -145,18 +158,18 @@ def draw(labelled: LabelledGraph, options: DrawingOptions, number: NodeNumber | 
 
 def _parts(drawn: SimplifiedGraph) -> Iterator[tuple[str, tuple[LabelledEdge, ...], tuple[str, ...]]]:
     split = drawn.options.split
-    if split is Split.NONE:
-        yield "", drawn.edges, tuple(drawn.groups)
+    if split is Split.NONE and not drawn.matrices:
+        yield "", drawn.edges, tuple(drawn.subjects)
         return
     members: dict[str, list[str]] = defaultdict(list)
-    for subject in drawn.groups:
+    for subject in sorted(drawn.subjects, key=natural):
         members[subject if split is Split.SUBJECT else namespace(subject)].append(subject)
-    part_of = {subject: part for part, subjects in members.items() for subject in subjects}
     edges: dict[str, list[LabelledEdge]] = defaultdict(list)
     for one in drawn.edges:
-        edges[part_of[one.edge.subject]].append(one)
-    for part, subjects in members.items():
-        yield one_line(part), tuple(edges[part]), tuple(subjects)
+        edges[one.edge.subject].append(one)
+    for part, every in members.items():
+        for heading, subjects in matrix_parts(one_line(part), every) if drawn.matrices else [(one_line(part), every)]:
+            yield heading, tuple(one for subject in subjects for one in edges[subject]), tuple(subjects)
 
 
 def _in_rows(
@@ -175,59 +188,63 @@ def _in_rows(
     return places, widest, y + tallest
 
 
-# -- words -----------------------------------------------------------------------------------------------------------
-
-
-def _subtitle(drawn: SimplifiedGraph) -> str:
-    labelled, transport = drawn.labelled, drawn.options.transport
-    objects = {one.edge.domain_object for one in labelled.edges}
-    sizes = ((labelled.subjects, "subject"), (objects, "object"), (labelled.edges, "edge"))
-    notes = [", ".join(quantity(len(items), noun) for items, noun in sizes)]
-    if labelled.transports:
-        transports = labelled.transports if transport is None else [labelled.transports[transport]]
-        which = transports[0] if len(transports) == 1 else "all transports"
-        false = sum(one.outcome(transport).false for one in labelled.edges)
-        notes.append(f"{one_line(which)} compared with the policy: {quantity(false, 'mismatch')}")
-    if marks := sum(map(len, drawn.marks.values())):
-        notes.append(f"{quantity(marks, 'common edge')} shown as marks")
-    if any(len(members) > 1 for members in drawn.groups.values()):
-        notes.append("subjects are grouped by namespace")
-    if any(len(members) > 1 for members in drawn.members.values()):
-        notes.append("objects with the same edges are drawn as one")
-    if drawn.left_out:
-        total = drawn.left_out + len(drawn.edges)
-        notes.append(f"{drawn.left_out} of {total} lines left out, starting with default denials")
-    return "; ".join(notes)
-
-
 # -- shapes ----------------------------------------------------------------------------------------------------------
 
 
 def _box(box: NodeBox, drawn: SimplifiedGraph, number: NodeNumber | None) -> dict[str, object]:
     key, labelled = box.key, drawn.labelled
-    members: Sequence[NodeKey] = drawn.groups[key] if isinstance(key, str) else drawn.members[key]
-    title = "\n".join(one_line(one) if isinstance(one, str) else object_name(one[1], one[0]) for one in members)
+    members = _members(key, drawn)
+    shown = [one_line(one) if isinstance(one, str) else object_name(one[1], one[0]) for one in members[:_MOST_NAMES]]
+    title = "\n".join(shown) + (f"\nand {len(members) - len(shown)} more" if len(members) > len(shown) else "")
     if not isinstance(key, str) and len(members) == 1:
         title += f" ({KINDS[box.kind]})"
     pattern = not isinstance(key, str) and key[1] in labelled.patterns
-    group = isinstance(key, str) and len(members) > 1
+    probe = not isinstance(key, str) and key[1] in labelled.probes
+    alike = len(drawn.subjects[key] if isinstance(key, str) else drawn.copies[key]) > 1
     common = [sentence(one, labelled.transports) for one in drawn.marks.get(key, ())] if isinstance(key, str) else []
     return {
         "box": box,
-        "classes": f"box {box.kind}" + (" pattern" if pattern else "") + (" group" if group else ""),
-        "title": title + (", an expression of the policy" if pattern else ""),
-        "group": group,
+        "classes": f"box {box.kind}" + " pattern" * pattern + " probe" * probe + " alike" * alike,
+        "title": title + ", an expression of the policy" * pattern + ", a name made up to probe a pattern" * probe,
         "mark_title": "\n".join(common),
-        "number": number(key) if number else None,
+        "number": number(members[0]) if number else None,
         "numbers": _numbers(members, number),
     }
+
+
+def _members(key: NodeKey, drawn: SimplifiedGraph) -> Sequence[NodeKey]:
+    """Return all subjects or objects that a box stands for."""
+    if isinstance(key, str):
+        return drawn.subjects[key]
+    return tuple(one for member in drawn.members[key] for one in drawn.copies[member])
+
+
+def _edge(one: LabelledEdge, drawn: SimplifiedGraph, number: NodeNumber | None) -> dict[str, object]:
+    """Return what a line and a sign have in common."""
+    transports, more = drawn.labelled.transports, len(drawn.stands[one]) - 1
+    outcome = one.outcome(drawn.options.transport)
+    return {
+        "outcome": outcome,
+        "classes": edge_classes(outcome, labels=bool(transports)),
+        "title": sentence(one, transports) + (f", and {more} more that it stands for" if more else ""),
+        "audit": one.audit,
+        "danger": outcome is EdgeOutcome.FALSE_POSITIVE,
+        "subject": _numbers(_members(one.edge.subject, drawn), number),
+        "object": _numbers(_members(one.edge.domain_object, drawn), number),
+    }
+
+
+def _sign(sign: Sign, drawn: SimplifiedGraph, number: NodeNumber | None) -> dict[str, object]:
+    common = _edge(sign.labelled, drawn, number)
+    barred = common["outcome"] in {EdgeOutcome.DENY, EdgeOutcome.FALSE_NEGATIVE}
+    letter = SIGNS[role(sign.labelled.edge.permission)]
+    return {**common, "x": sign.x, "y": sign.y, "letter": letter, "barred": barred}
 
 
 def _line(line: EdgeLine, drawn: SimplifiedGraph, number: NodeNumber | None) -> dict[str, object]:
     outcome = line.labelled.outcome(drawn.options.transport)
     size = _HEAD * (1.25 if outcome.false else 1.0)
-    edge, transports = line.labelled.edge, drawn.labelled.transports
-    outward, inward = directions(edge.permission)
+    outward, inward = directions(line.labelled.edge.permission)
     forward = math.copysign(1.0, line.x2 - line.x1)
     start = line.x1 + (size * forward if inward else 0.0)
     end = line.x2 - (size * forward if outward else 0.0)
@@ -241,19 +258,13 @@ def _line(line: EdgeLine, drawn: SimplifiedGraph, number: NodeNumber | None) -> 
     if inward:
         heads.append(_head(line.x1, line.y1, -forward * size, barred=barred))
     return {
-        "outcome": outcome,
-        "classes": f"edge {edge_classes(outcome, labels=bool(transports))}",
-        "title": sentence(line.labelled, transports),
+        **_edge(line.labelled, drawn, number),
         "curve": curve,
         "heads": "".join(heads),
-        "audit": line.labelled.audit,
         "dot_x": start + (end - start) * _DOT_ACROSS,
         "dot_y": line.y1 + (line.y2 - line.y1) * _DOT_DOWN,
-        "danger": outcome is EdgeOutcome.FALSE_POSITIVE,
         "middle_x": (start + end) / 2,
         "middle_y": (line.y1 + line.y2) / 2,
-        "subject": _numbers(drawn.groups[edge.subject], number),
-        "object": _numbers(drawn.members[edge.domain_object], number),
     }
 
 
@@ -287,29 +298,37 @@ def legend(drawn: SimplifiedGraph, panels: Sequence[Panel]) -> Iterator[LegendEn
     """
     kinds = {box.kind for panel in panels for box in panel.boxes}
     yield ("subject", "subject", "box")
-    if any(len(members) > 1 for members in drawn.groups.values()):
-        yield ("subjects of a namespace", "subject group", "box")
     yield from ((name, kind, "box") for kind, name in KINDS.items() if kind in kinds)
     if any(one.edge.object in drawn.labelled.patterns for one in drawn.edges):
         yield ("expression", "pattern neutral", "box")
+    if any(one.edge.object in drawn.labelled.probes for one in drawn.edges):
+        yield ("name made up to probe a pattern", "probe neutral", "box")
+    yield from _legend_of_edges(drawn)
+    if any(one.audit for one in drawn.edges):
+        yield ("AUDIT rule", "audited", "dot")
+    if drawn.marks:
+        yield ("what every node may do (--common draws it)", "muted", "+N")
+    if drawn.alike:
+        yield ("alike: equal up to the name, one is drawn", "muted", "N")
+
+
+def _legend_of_edges(drawn: SimplifiedGraph) -> Iterator[LegendEntry]:
     roles = {role(one.edge.permission) for one in drawn.edges}
+    spelled = {name: f"{SIGNS[name]} {name}" if drawn.matrices else name for name in SIGNS}
     for target, directed in (("object", OUTWARD), ("subject", INWARD)):
-        named = [name for name in directed if name in roles and name != "relay"]
+        named = [spelled[name] for name in directed if name in roles and name != "relay"]
         if named:
             yield (f"to the {target}: {', '.join(named)}", "plain", "arrow")
     if "relay" in roles:
-        yield ("both ways: relay", "plain", "both")
+        yield (f"both ways: {spelled['relay']}", "plain", "both")
     outcomes = {one.outcome(drawn.options.transport) for one in drawn.edges}
     labels = bool(drawn.labelled.transports)
     compared = {EdgeOutcome.ALLOW: " (true positive)", EdgeOutcome.DENY: " (true negative)"} if labels else {}
     for outcome in (EdgeOutcome.ALLOW, EdgeOutcome.DENY, EdgeOutcome.FALSE_POSITIVE, EdgeOutcome.FALSE_NEGATIVE):
         if outcome in outcomes:
             text = OUTCOMES[outcome] + compared.get(outcome, "")
-            yield (text, edge_classes(outcome, labels=labels), "arrow" if outcome.allowed else "barred")
-    if any(one.audit for one in drawn.edges):
-        yield ("AUDIT rule", "audited", "dot")
-    if drawn.marks:
-        yield ("what every node may do (--common draws it)", "muted", "mark")
+            form = "sign" if drawn.matrices else "arrow" if outcome.allowed else "barred"
+            yield (text, edge_classes(outcome, labels=labels), form)
 
 
 def _place_entries(entries: Sequence[LegendEntry], width: float) -> tuple[list[dict[str, object]], float]:

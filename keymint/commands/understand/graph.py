@@ -3,15 +3,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 
 from comarmor.errors import Diagnostic
+from comarmor.text import quantity
 from keymint.api import graph_json
 from keymint.api.graph import EdgeOutcome, Graph
-from keymint.command_line.named_files import deliver, read_input, source_files
+from keymint.command_line.named_files import deliver, made_of, read_input, source_files
 from keymint.command_line.named_policies import Policies, library_rules, workspace_library_rules
 from keymint.command_line.options import PolicyOptions, policy_options
 from keymint.command_line.verb import (
@@ -29,6 +32,7 @@ from keymint.command_line.verb import (
     verb,
 )
 from keymint.drawing.appearance import Theme
+from keymint.drawing.captions import left_out_words
 from keymint.drawing.labelled_graph import (
     DrawnPolicy,
     LabelledEdge,
@@ -38,9 +42,10 @@ from keymint.drawing.labelled_graph import (
     policy_graph,
     select_edges,
 )
-from keymint.drawing.simplify import DrawingOptions, Split
-from keymint.errors import KeymintError, usage_error
+from keymint.drawing.simplify import DrawingOptions, LeftOut, Split, simplify
+from keymint.errors import ExitCode, KeymintError, usage_error
 from keymint.workspace.policy_loading import load_policy
+from keymint.workspace.session import Session
 
 FORMATS = ("svg", "png", "dot", "html")
 
@@ -71,12 +76,21 @@ def graph(
             callback=lambda _context, _parameter, value: Split(value),
             help="Draw one panel for each.",
         ),
-        fold=option("--fold/--no-fold", default=None, help="Merge objects with the same edges [from 40 objects on]."),
+        fold=option(
+            "--fold/--no-fold",
+            default=None,
+            help="Draw one of the robots that are equal up to the name [beyond 30 subjects or 600 lines], and objects "
+            "with the same edges as one [from 40 objects on].",
+        ),
         group=option(
-            "--group/--no-group", default=None, help="Merge the subjects of a namespace [beyond 30 subjects]."
+            "--group/--no-group",
+            default=None,
+            help="Draw the subjects of a namespace as a matrix [where more than 30 subjects or 600 lines remain].",
         ),
         common=flag("Draw also what every node may do: parameters, logging, time, discovery."),
-        limit=option(type=click.IntRange(1), default=600, show_default=True, help="Draw at most this many lines."),
+        limit=option(
+            type=click.IntRange(1), help="Draw at most this many edges, and count the others by kind [no limit]."
+        ),
         theme=option(
             type=click.Choice([str(theme) for theme in Theme]),
             default="auto",
@@ -110,6 +124,7 @@ def graph(
         loaded = policies.at(run.setting.cwd / path, str(path))
         return DrawnPolicy(loaded, path.resolve().stem, run.typed, library_rules(run.setting.cwd, policies.shipped()))
 
+    session: Session | None = None
     system, diagnostics = _graph(run, source, source_type) if source else (None, ())
     if system is None:
         if policy is not None:
@@ -117,11 +132,17 @@ def graph(
                 f"{source or 'the policy of the workspace'} is a policy; --policy labels only graphs",
                 "leave out --policy",
             )
-        drawn = policy_at(source) if source else _policy_of_workspace(run)
+        if source:
+            drawn = policy_at(source)
+        else:
+            session = run.inputs(run.workspace()).session()
+            drawn = _policy_of_workspace(run, session)
+        made = made_of(run, drawn.loaded, session)
         below = choose_subjects(drawn.loaded.subjects(), (), namespaces) if namespaces else ()
         labelled = policy_graph(title or drawn.name, drawn, tuple(sorted({*named, *below})), everything=everything)
     else:
         labelling = policy_at(policy) if policy is not None else None
+        made = made_of(run, labelling.loaded if labelling else None, graph=read_input(run, source) if source else b"")
         subjects = choose_subjects(system.subjects, named, namespaces)
         name = Path(source or "").stem + (f", labelled by {labelling.name}" if labelling else "")
         if labelling is not None:
@@ -133,15 +154,24 @@ def graph(
             labelled = select_edges(unlabelled, subjects=subjects)
     if only:
         labelled = select_edges(labelled, only={EdgeOutcome.ALLOW if only == "allowed" else EdgeOutcome.DENY})
-    content = _drawn(run, labelled, chosen_format, drawing, scale)
+    content, left_out, counts = _drawn(run, replace(labelled, made=made), chosen_format, drawing, scale)
     result: dict[str, Any] = {
         **deliver(run, output, content),
         "format": chosen_format,
         "subjects": labelled.subjects,
         "objects": len({each.edge.domain_object for each in labelled.edges}),
         "edges": {outcome: labelled.counts[outcome] for outcome in EdgeOutcome if labelled.counts[outcome]},
+        **counts,
+        "left_out": [
+            {"outcome": outcome, "kind": kind, "edges": count} for (outcome, kind), count in sorted(left_out.items())
+        ],
         "content": None if output else content.decode(),
     }
+    if left_out and drawing.limit is None:
+        message = f"{quantity(sum(left_out.values()), 'edge')} not drawn: {left_out_words(left_out)}"
+        help_ = "draw a part (--subject, --namespace), or say how much is enough (--limit)"
+        diagnostics = (*diagnostics, Diagnostic.warning("picture-incomplete", message, None, help_))
+        return run.report(result, diagnostics, ExitCode.FINDINGS)
     return run.report(result, diagnostics)
 
 
@@ -172,21 +202,27 @@ def _graph(run: Run, source: Path, source_type: str | None) -> tuple[Graph | Non
     return reader.interpret(capture.graph, fold=True), capture.diagnostics
 
 
-def _policy_of_workspace(run: Run) -> DrawnPolicy:
-    session = run.inputs(run.workspace()).session()
+def _policy_of_workspace(run: Run, session: Session) -> DrawnPolicy:
     return DrawnPolicy(load_policy(session), session.profile.name, run.typed, workspace_library_rules(session))
 
 
-def _drawn(run: Run, labelled: LabelledGraph, kind: str, options: DrawingOptions, scale: float) -> bytes:
+def _drawn(
+    run: Run, labelled: LabelledGraph, kind: str, options: DrawingOptions, scale: float
+) -> tuple[bytes, Mapping[LeftOut, int], Mapping[str, Any]]:
+    """Return a picture, how many edges are not in it, and how the others are."""
     # Templates are slow to import, and no other verb needs them.
-    from keymint.drawing.html_report import html_report  # noqa: PLC0415
-    from keymint.drawing.other_formats import dot, png  # noqa: PLC0415
-    from keymint.drawing.svg import svg  # noqa: PLC0415
+    from keymint.drawing.html_report import html_report, unlisted_edges  # noqa: PLC0415
+    from keymint.drawing.other_formats import dot_document, dot_simplified, png  # noqa: PLC0415
+    from keymint.drawing.svg import draw  # noqa: PLC0415
 
-    if kind == "dot":
-        return dot(labelled, options)
     if kind == "html":
-        return html_report(labelled, source_files(run, labelled), options)
-    if kind == "png":
-        return png(svg(labelled, options), scale)
-    return svg(labelled, options)
+        left_out = unlisted_edges(labelled)
+        counts = {"drawn": labelled.total - sum(left_out.values()), "folded": 0, "alike": []}
+        return html_report(labelled, source_files(run, labelled), options), left_out, counts
+    drawn = dot_simplified(labelled, options) if kind == "dot" else simplify(labelled, options)
+    alike = [{"like": each.like, "names": each.names} for each in drawn.alike]
+    counts = {"drawn": len(drawn.edges), "folded": drawn.folded, "alike": alike}
+    if kind == "dot":
+        return dot_document(drawn), drawn.left_out, counts
+    document = draw(drawn).encode()
+    return png(document, scale) if kind == "png" else document, drawn.left_out, counts

@@ -48,10 +48,6 @@
   // A link to a part that a filter hides resets the filter.
   const reveal = () => {
     const target = document.getElementById(decodeURIComponent(location.hash.slice(1)));
-    if (target && target.closest("details")) {
-      target.closest("details").open = true;
-      target.scrollIntoView();
-    }
     if (target && target.closest("[hidden]")) {
       form.reset();
       apply();
@@ -66,10 +62,6 @@
   window.addEventListener("hashchange", reveal);
   for (const box of boxes) {
     box.addEventListener("click", () => {
-      if (box.dataset.g) {
-        byId(`n${box.dataset.g}`).open = true;
-        return;
-      }
       search.value = names.get(box.dataset.n.split(" ")[0]) ?? "";
       apply();
     });

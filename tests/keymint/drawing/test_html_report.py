@@ -119,7 +119,10 @@ def test_a_large_graph_says_what_it_leaves_out() -> None:
     allowed = [labelled("/b", "ros_publish", f"/t{at}", ALLOWED) for at in range(5)]
     document = page(LabelledGraph.of("t", [*denied, *allowed]))
     assert len(document.xpath("//section[h3//text()='/b']//tr[@data-v]")) == 5
-    assert "5 edges are not listed" in document.xpath("string(//p[@class='note'])")
+    note = document.xpath("string(//p[@class='note'])")
+    assert note.startswith("NOT LISTED: 5 of these edges: 5 denied (5 topic).")
+    assert f"{MOST_ROWS + 5} edges" in document.xpath("string(//header)")
+    assert [int(one.text) for one in document.xpath("//ul[@class='counts']//strong")] == [5, MOST_ROWS]
 
 
 def test_contrast_of_the_page() -> None:

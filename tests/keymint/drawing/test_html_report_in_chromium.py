@@ -106,22 +106,19 @@ def page(browser: Chrome, tmp_path: Path) -> Iterator[Page]:
     assert browser.execute_script("return performance.getEntriesByType('resource').length") == 0
 
 
-def test_a_group_opens_with_a_click(page: Page, tmp_path: Path) -> None:
+def test_a_box_of_robots_that_are_alike_finds_each_of_them(page: Page, tmp_path: Path) -> None:
     path = tmp_path / "fleet.html"
     path.write_bytes(html_report(fleet(10), SOURCES))
     page.browser.get(path.as_uri())
-    inside = "details.group svg"
-    assert not page.visible(inside)
     assert len(page.rows()) == 41
+    dimmed = "return document.querySelectorAll('.picture .edge.dim').length"
+    assert page.browser.execute_script(dimmed) == 0
     page.browser.execute_script(
-        "document.querySelector('a[data-g]').dispatchEvent(new MouseEvent('click', {bubbles: true, cancelable: true}))"
+        "const search = document.getElementById('search'); search.value = '/robot7/node2';"
+        "search.dispatchEvent(new Event('input'))"
     )
-    assert page.visible(inside)
-    opened = page.browser.execute_script("return document.querySelector('details[open]').textContent")
-    assert "/robot0/… (4 subjects)" in opened
-    assert "/robot0/node3" in opened
-    assert "/robot1/" not in opened
-    assert len(page.rows()) == 41
+    assert len(page.rows()) == 1
+    assert page.browser.execute_script(dimmed) == 2
 
 
 def test_names_break_between_words_only(page: Page) -> None:

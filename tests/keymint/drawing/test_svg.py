@@ -4,17 +4,21 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
+from dataclasses import replace
 
 from hypothesis import given
 from hypothesis import strategies as st
 from lxml import etree
 
 from keymint.api.graph import MISMATCHES, Object
-from keymint.drawing.appearance import Theme
+from keymint.drawing.appearance import Theme, columns
 from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, select_edges
+from keymint.drawing.layout import CHARACTER
+from keymint.drawing.matrix import lay_out_matrix
 from keymint.drawing.other_formats import dot
-from keymint.drawing.simplify import DrawingOptions, Split, shown_edges
-from keymint.drawing.svg import svg
+from keymint.drawing.simplify import DrawingOptions, Split, shown_edges, simplify
+from keymint.drawing.svg import draw, svg
 
 from .graphs import ALLOWED, DENIED, EXPRESSLY_DENIED, HOSTILE, edge, fleet, graphs, hostile, labelled, one_of_each
 
@@ -134,7 +138,7 @@ def test_important_edges_stay_beyond_the_limit() -> None:
     assert {one.edge.object.name for one in shown_edges(graph.edges, DrawingOptions(limit=10))} == {"/w0", "/w1", "/w2"}
     assert len(shown_edges(graph.edges, DrawingOptions(limit=2))) == 3
     root = tree(svg(graph, DrawingOptions(limit=10, fold=False)))
-    assert "20 of 23 lines left out" in root.findtext("s:desc", namespaces=NS)
+    assert "NOT DRAWN: 20 of 23 edges: 20 denied (20 topic)" in root.findtext("s:desc", namespaces=NS)
 
 
 @given(graphs(), st.sampled_from(Theme), st.sampled_from(Split), st.sampled_from([None, True, False]))
@@ -183,28 +187,71 @@ def test_common_rules_become_a_mark_at_the_subject() -> None:
     assert "+1 common" in dot(graph).decode()
 
 
-def test_a_fleet_is_grouped_by_namespace() -> None:
+def signs(root: etree._Element) -> list[str]:
+    found = root.xpath("//s:g[contains(@class, 'sign') and s:title]", namespaces=NS)
+    return [f"{sign.get('class')} {sign.findtext('s:text', namespaces=NS)}" for sign in found]
+
+
+def test_robots_that_are_alike_are_drawn_once() -> None:
     root = tree(svg(fleet(10)))
-    assert sorted(texts(root)) == ["/estop", "/fleet/state", *(f"/robot{at}/… (4 subjects)" for at in range(10))]
-    assert "grouped by namespace" in root.findtext("s:desc", namespaces=NS)
-    assert len(classes(root)) == 11
-    title = root.xpath("string(//s:g[s:text='/robot3/… (4 subjects)']/s:title)", namespaces=NS)
-    assert title == "\n".join(f"/robot3/node{at}" for at in range(4))
-    assert "/robot0/node0" in texts(tree(svg(fleet(10), DrawingOptions(group=False))))
-    assert "/robot0/node0" in texts(tree(svg(fleet(7))))
-    assert "/robot0/… (4 subjects)" in texts(tree(svg(fleet(7), DrawingOptions(group=True))))
+    assert sorted(texts(root)) == ["/estop", "/fleet/state", "/robot0/node0", "/robot0/node1", "39 alike"]
+    assert "39 subjects like /robot0/node1 (" in root.findtext("s:desc", namespaces=NS)
+    assert "nothing is left out" in root.findtext("s:desc", namespaces=NS)
+    assert len(classes(root)) == 3
+    assert "/robot0/node3\n" in root.xpath("string(//s:g[s:text='/robot0/node1']/s:title)", namespaces=NS)
+    assert "/robot9/node3" in texts(tree(svg(fleet(10), DrawingOptions(fold=False, group=False))))
+    assert "/robot0/node3" in texts(tree(svg(fleet(7))))
 
 
-def test_a_group_shows_every_label_of_its_members() -> None:
+def test_a_matrix_says_whom_each_sign_concerns() -> None:
     edges = [
         *(labelled(f"/r/n{at}", "ros_publish", "/t", ALLOWED, ALLOWED) for at in range(20)),
         *(labelled(f"/r/n{at}", "ros_publish", "/t", EXPRESSLY_DENIED, DENIED) for at in range(20, 30)),
-        labelled("/r/n30", "ros_publish", "/t", DENIED, ALLOWED),
+        labelled("/r/n30", "ros_subscribe", "/t", DENIED, ALLOWED),
         labelled("/s/n", "ros_publish", "/t", ALLOWED, ALLOWED),
     ]
-    root = tree(svg(LabelledGraph.of("t", edges, transports=["x"])))
-    drawn = root.xpath("//s:g[contains(@class, ' false') or contains(@class, ' true')][s:title]/@class", namespaces=NS)
-    assert sorted(drawn) == ["edge allow true", "edge allow true", "edge danger false", "edge deny true"]
+    root = tree(svg(LabelledGraph.of("t", edges, transports=["x"]), DrawingOptions(fold=False)))
+    assert Counter(signs(root)) == {
+        "edge sign allow true P": 21,
+        "edge sign deny true P": 10,
+        "edge sign danger false S": 1,
+    }
+    headings = root.xpath("//s:text[@class='heading']/text()", namespaces=NS)
+    assert headings == ["/r/ 1 to 30", "/r/ 31 to 31", "/s/"]
+    assert {"to the object: P publish", "to the subject: S subscribe"} <= set(legend(root))
+
+
+@given(graphs())
+def test_every_edge_of_a_matrix_has_a_place_of_its_own(graph: LabelledGraph) -> None:
+    panel = lay_out_matrix("", graph.edges, graph.subjects, {}, {})
+    places = {(sign.x, sign.y) for sign in panel.signs}
+    assert len(places) == len(panel.signs) == len(graph.edges)
+    boxes = {box.key: box for box in panel.boxes}
+    for sign in panel.signs:
+        column, row = boxes[sign.labelled.edge.subject], boxes[sign.labelled.edge.domain_object]
+        assert column.x < sign.x < column.x + column.width
+        assert row.y < sign.y < row.y + row.height
+        assert sign.x < panel.width
+    for box in panel.boxes:
+        length = box.height if isinstance(box.key, str) else box.width
+        assert columns(box.label) * CHARACTER < length
+    drawn = simplify(graph, DrawingOptions(group=True, fold=False))
+    assert len(signs(tree(draw(drawn).encode()))) == len(drawn.edges)
+
+
+def test_what_it_is_made_of_is_below() -> None:
+    made = ("keymint 1, 2027-01-15", "policy sha256 " + 64 * "f")
+    root = tree(svg(replace(one_of_each(), made=made)))
+    assert tuple(root.xpath("/s:svg/s:text[contains(@class, 'made')]/text()", namespaces=NS)) == made
+    assert float(root.get("height")) > max(map(float, root.xpath("/s:svg/s:text/@y", namespaces=NS)))
+    assert "policy sha256" in dot(replace(one_of_each(), made=made)).decode()
+
+
+def test_probes_are_marked() -> None:
+    graph = LabelledGraph.of("t", [labelled("/a", "ros_publish", "/imagex", DENIED, DENIED)], transports=["x"])
+    root = tree(svg(replace(graph, probes=frozenset({graph.edges[0].edge.object}))))
+    assert "name made up to probe a pattern" in legend(root)
+    assert "probe" in root.xpath("string(//s:g[s:text='/imagex']/@class)", namespaces=NS)
 
 
 def test_hostile_is_hostile() -> None:

@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 import pytest
 
+from keymint import __version__
 from keymint.api import graph_json
 from keymint.api.graph import Edge, Graph, Object
-from tests.conftest import snapshot
+from tests.conftest import NOW, snapshot
 
 TOPIC = Object("ros_topic", "/chatter")
 
@@ -152,3 +154,77 @@ def test_a_copy_of_the_library_that_was_edited_hides_nothing(keymint, tmp_path: 
     assert outcome.code == 0, outcome.err
     assert "/cmd_vel</text>" in outcome.out
     assert "/rosout</text>" not in outcome.out
+
+
+def fleet_policy(count: int, *, alike: bool) -> str:
+    """Return a policy of robots; those that are not alike each read what the next one publishes."""
+    profiles = []
+    for at in range(count):
+        other = at if alike else (at + 1) % count
+        rules = (("ros_publish", f"/r{at}/image"), ("ros_subscribe", f"/r{other}/image"), ("ros_publish", "/state"))
+        profiles.append(
+            f"<profile name='p{at}'><attachment>/r{at}/cam</attachment>"
+            + "".join(
+                f"<ros_topic qualifier='ALLOW'><attachment>{topic}</attachment>"
+                f"<permissions><{permission}/></permissions></ros_topic>"
+                for permission, topic in rules
+            )
+            + "</profile>"
+        )
+    return f"<profiles>{''.join(profiles)}</profiles>"
+
+
+@pytest.mark.parametrize("kind", ["svg", "dot", "html"])
+@pytest.mark.parametrize("alike", [True, False])
+def test_300_subjects_with_every_right(keymint, tmp_path: Path, kind: str, alike: bool) -> None:
+    (tmp_path / "policy.xml").write_text(fleet_policy(300, alike=alike))
+    outcome = keymint("graph", "policy.xml", "-f", kind, "--json")
+    assert outcome.code == 0, outcome.out
+    result = outcome.document["result"]
+    assert (result["edges"], result["left_out"]) == ({"allow": 900}, [])
+    assert result["drawn"] + result["folded"] == 900
+    if alike and kind != "html":
+        (found,) = result["alike"]
+        assert (found["like"], len(found["names"]), result["drawn"]) == ("/r0", 300, 3)
+        assert "300 robots like /r0 (/r0 to /r299)" in result["content"]
+
+
+def test_what_is_not_drawn_is_a_finding_unless_a_limit_was_asked(keymint, tmp_path: Path) -> None:
+    (tmp_path / "policy.xml").write_text(fleet_policy(300, alike=False))
+    arguments = ("graph", "policy.xml", "--no-group", "--no-fold", "--json")
+    outcome = keymint(*arguments)
+    left_out = [{"outcome": "allow", "kind": "ros_topic", "edges": 300}]
+    assert (outcome.code, outcome.document["result"]["left_out"]) == (3, left_out)
+    assert [each["code"] for each in outcome.document["diagnostics"]] == ["picture-incomplete"]
+    assert outcome.document["result"]["drawn"] == 600
+    assert "NOT DRAWN: 300 of 900 edges: 300 allowed (300 topic)" in outcome.document["result"]["content"]
+    assert "300 edges not drawn: 300 allowed (300 topic)" in keymint(*arguments[:-1], "-o", "p.svg").err
+    limited = keymint(*arguments, "--limit", "100")
+    assert (limited.code, limited.document["result"]["left_out"][0]["edges"]) == (0, 800)
+    assert "NOT DRAWN: 800 of 900 edges" in limited.document["result"]["content"]
+
+
+def test_a_picture_says_when_and_of_what_it_was_made(keymint, provisioned: Path, policy: Path, captured: Path) -> None:
+    def digest(*lines: str) -> str:
+        return hashlib.sha256("".join(f"{line}\n" for line in lines).encode()).hexdigest()
+
+    alone = policy.with_name("alone.xml")
+    alone.write_text(fleet_policy(2, alike=True))
+    of_file = f"policy sha256 {digest(hashlib.sha256(alone.read_bytes()).hexdigest())}"
+    for kind in ("svg", "dot", "html"):
+        found = keymint("graph", alone, "-f", kind).out
+        assert f"keymint {__version__}, 2027-01-15" in found
+        assert of_file in found
+        assert keymint("graph", alone, "-f", kind, env={"SOURCE_DATE_EPOCH": str(NOW + 86_400)}).out == found.replace(
+            "2027-01-15", "2027-01-16"
+        )
+    install = provisioned / "install"
+    names = sorted(str(path.relative_to(install)) for path in install.rglob("*") if path.is_file())
+    kept = [name for name in names if not name.endswith("key.pem")]
+    assert len(kept) < len(names)
+    files = (f"{hashlib.sha256((install / name).read_bytes()).hexdigest()}  {name}" for name in kept)
+    assert f"keystore sha256 {digest(*files)}" in keymint("graph", cwd=provisioned).out
+    of_graph = f"graph sha256 {hashlib.sha256(captured.read_bytes()).hexdigest()}"
+    labelled = keymint("graph", captured, "--policy", alone, "-f", "svg").out
+    assert of_graph in labelled
+    assert of_file in labelled

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What pictures say in words: what is drawn, what stands for it, and what is not drawn."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+
+from comarmor.text import one_line, quantity
+from keymint.api.graph import DomainObject, EdgeOutcome
+from keymint.drawing.alike import Alike, natural
+from keymint.drawing.appearance import KINDS, SHORT_OUTCOMES
+from keymint.drawing.labelled_graph import namespace
+from keymint.drawing.layout import NodeKey
+from keymint.drawing.simplify import LeftOut, SimplifiedGraph
+
+_MOST_RUNS = 8
+
+
+def alike_words(alike: Alike) -> str:
+    """Return which robots are alike: ``30 robots like /r0 (/r0 to /r2, /r4 to /r30)``."""
+    runs = list(_runs(alike.names))
+    shown = ", ".join(runs[:_MOST_RUNS]) + (f", … {alike.names[-1]}" if len(runs) > _MOST_RUNS else "")
+    return one_line(f"{len(alike.names)} {'subjects' if alike.single else 'robots'} like {alike.like} ({shown})")
+
+
+def _runs(names: Sequence[str]) -> Iterator[str]:
+    """Yield names in natural order, with those that are numbered one after the other as one."""
+    begin = 0
+    for at, name in enumerate(names):
+        if at + 1 == len(names) or not _follows(natural(name), natural(names[at + 1])):
+            yield name if at == begin else f"{names[begin]} to {name}"
+            begin = at + 1
+
+
+def _follows(before: list[tuple[int, str]], after: list[tuple[int, str]]) -> bool:
+    """Tell whether two names differ only in one number, by one."""
+    differing = [(one, other) for one, other in zip(before, after, strict=False) if one != other]
+    return len(before) == len(after) and len(differing) == 1 and differing[0][1][0] - differing[0][0][0] == 1
+
+
+def left_out_words(left_out: Mapping[LeftOut, int]) -> str:
+    """Return how many edges of which kind are left out: ``12 allowed (10 topic, 2 service), 3 denied (3 action)``."""
+    return ", ".join(
+        f"{sum(counts.values())} {words} ({', '.join(f'{count} {KINDS[kind]}' for kind, count in counts.items())})"
+        for outcome, words in SHORT_OUTCOMES.items()
+        if (counts := {kind: left_out[outcome, kind] for kind in KINDS if left_out.get((outcome, kind))})
+    )
+
+
+def folded_name(members: Sequence[DomainObject]) -> str:
+    """Return the label of folded objects: ``/talker/… (6 services)``."""
+    first = members[0][1]
+    noun = KINDS[first.kind]
+    return one_line(f"{namespace(first.name)}… ({len(members)} {noun}{'' if noun.endswith('s') else 's'})")
+
+
+def subtitle(drawn: SimplifiedGraph) -> str:
+    """Return the caption of a picture: what there is, and how it is drawn; nothing is left out in silence."""
+    labelled, transport = drawn.labelled, drawn.options.transport
+    objects = {one.edge.domain_object for one in labelled.edges}
+    counts = ((len(labelled.subjects), "subject"), (len(objects), "object"), (labelled.total, "edge"))
+    notes = [", ".join(quantity(count, noun) for count, noun in counts)]
+    if labelled.transports:
+        transports = labelled.transports if transport is None else [labelled.transports[transport]]
+        which = transports[0] if len(transports) == 1 else "all transports"
+        false = sum(one.outcome(transport).false for one in labelled.edges)
+        notes.append(f"{one_line(which)} compared with the policy: {quantity(false, 'mismatch')}")
+    notes += (f"{alike_words(each)}, equal up to the name, are drawn as one" for each in drawn.alike)
+    if drawn.marks:
+        count = sum(one.common and one.outcome(transport) is EdgeOutcome.ALLOW for one in labelled.edges)
+        notes.append(f"{quantity(count, 'common edge')} shown as marks")
+    if any(len(members) > 1 for members in drawn.members.values()):
+        notes.append("objects with the same edges are drawn as one")
+    if drawn.left_out:
+        count = sum(drawn.left_out.values())
+        notes.append(f"NOT DRAWN: {count} of {labelled.total} edges: {left_out_words(drawn.left_out)}")
+    elif drawn.folded:
+        notes.append("nothing is left out")
+    return "; ".join(notes)
+
+
+def marks_of(drawn: SimplifiedGraph) -> Mapping[NodeKey, str]:
+    """Return the second lines of boxes: how many robots they stand for, and how many common rules a subject has."""
+    marks: dict[NodeKey, list[str]] = defaultdict(list)
+    for subject, names in drawn.subjects.items():
+        marks[subject] += [f"{len(names)} alike"] * (len(names) > 1)
+        marks[subject] += [f"+{len(common)} common" for common in [drawn.marks.get(subject)] if common]
+    for key in drawn.members:
+        count = len(drawn.copies[key])
+        if key in drawn.others:
+            marks[key].append(f"{count} alike, of another")
+        elif count > 1:
+            marks[key].append(f"{count} alike")
+    return {key: ", ".join(words) for key, words in marks.items() if words}
