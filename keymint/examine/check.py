@@ -192,8 +192,8 @@ def _identity_key(session: Session, package: Package, keyring: Keyring) -> tuple
     return fingerprint, ()
 
 
-LEAST = 64
-"""Enclaves that are worth a process of their own."""
+LEAST = 1000
+"""Enclaves that are worth a process of their own: what it read of them, this one reads again for the proof."""
 
 
 def check(session: Session, names: Sequence[str], within: timedelta, pool: Pool) -> tuple[Diagnostic, ...]:

@@ -6,8 +6,10 @@ The proof of an enclave whose claims were all proven is cached until its files, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
+from itertools import chain
 
 from comarmor.errors import Defects, Diagnostic
 from keymint import __version__, api
@@ -63,16 +65,15 @@ def proofs(
         KeymintError: a package has defects, or the pool is lost.
     """
     stage = ProofStage(session, policy, effort)
+    recorded = {name: stage.recorded(name) for name in names}  # to find one takes less than to send it
+    left = [name for name in names if recorded[name] is None]
+    made: Iterator[EnclaveProof] = map(stage.package, left)
+    if len(parts := pool.parts(left, LEAST)) > 1:
+        made = chain.from_iterable(pool.map(lambda part: [stage.package(name) for name in part], parts))
     proven: list[EnclaveProof] = []
-    parts: Iterable[Sequence[str]] = ([name] for name in names)
-    results: Iterable[list[EnclaveProof]] = ([stage.package(name)] for name in names)
-    if len(divided := pool.parts(names, LEAST)) > 1:
-        parts = divided
-        results = pool.map(lambda part: [stage.package(name) for name in part], parts)
-    for part, own in zip(parts, results, strict=True):
-        proven += own
-        for name in part:
-            on_enclave(name)
+    for name in names:
+        proven.append(recorded[name] or next(made))
+        on_enclave(name)
     return stage.results(proven)
 
 
@@ -134,19 +135,38 @@ class ProofStage(PackageStage):
             digests = {file: digest(content) for file, content in files.items()}
         if contradictions := contradictions_for(session, name):
             return EnclaveProof(name, subject_of(name), diagnostics=contradictions)
-        stamp, workspace = session.state.stamp(STAGE, name), session.workspace
-        folder = workspace.shown(workspace.build / name if self._unsigned else session.enclave(name))
-        known = self._inputs_digest(name, digests, stamp.build_types) if stamp else ""
-        if recorded := self._recorded(name, (subject_of(name),), known, folder):
-            # The record does not depend on the clock: whether documents are in force is checked at each run.
-            return replace(recorded, subject=subject_of(name))
-        package = session.package(name)
+        if recorded := self._of_files(name, digests):
+            return recorded
+        package, folder = session.package(name), self._folder(name)
         files = enclave_files(session, name)[0] if files is None else files
         build_types = tuple(package_build_types.build_types_of(session, package)) if files else ()
         inputs = self._inputs_digest(name, digests, build_types)
         rules = self._rules(package.subject)
         proof = self._proof(package, rules, files, folder)
         return self._kept(proof, (rules,), Stamp(inputs, {}, build_types=build_types), folder)
+
+    def recorded(self, name: str) -> EnclaveProof | None:
+        """Return the proof of an enclave that is on record, or None if :meth:`package` must be asked."""
+        with suppress(KeymintError):  # raised again there
+            digests = enclave_digests(self._session, name)
+            if digests is not None and not contradictions_for(self._session, name):
+                return self._of_files(name, digests)
+        return None
+
+    def _of_files(self, name: str, digests: Mapping[str, str]) -> EnclaveProof | None:
+        """Return the proof on record of an enclave whose files have some digests; None if there is none.
+
+        The record does not depend on the clock: whether documents are in force is checked at each run.
+        """
+        stamp = self._session.state.stamp(STAGE, name)
+        known = self._inputs_digest(name, digests, stamp.build_types) if stamp else ""
+        found = self._recorded(name, (subject_of(name),), known, self._folder(name))
+        return found and replace(found, subject=subject_of(name))
+
+    def _folder(self, name: str) -> str:
+        """Return the folder of the documents of a package, as messages show it."""
+        workspace = self._session.workspace
+        return workspace.shown(workspace.build / name if self._unsigned else self._session.enclave_folder(name))
 
     def _across(self, name: str, names: Sequence[str]) -> EnclaveProof:
         """Prove the claims across the subjects of some packages of a build type, unless these are on record."""
