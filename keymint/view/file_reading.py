@@ -21,7 +21,13 @@ MAX_REGISTER = 64 * MAX_FILE
 
 
 def read_file(path: Path | str, most: int | None = None) -> bytes | None:
-    """Return the bytes of a regular file, or None if there is none.
+    """Return the bytes of a regular file, or None if there is none; arguments and errors as :func:`read_open_file`."""
+    found = read_open_file(path, most)
+    return found and found[0]
+
+
+def read_open_file(path: Path | str, most: int | None = None) -> tuple[bytes, FileStatus] | None:
+    """Return the bytes of a regular file, and its status; or None if there is none.
 
     Args:
         path: the file.
@@ -50,7 +56,7 @@ def read_file(path: Path | str, most: int | None = None) -> bytes | None:
         chunks = [os.read(descriptor, status.st_size + 1)]
         while len(chunks[0]) != status.st_size and (chunk := os.read(descriptor, status.st_size + 1)):
             chunks.append(chunk)
-        return b"".join(chunks)
+        return b"".join(chunks), _status(status)
     except OSError as error:
         raise read_error(path, error) from error
     finally:
@@ -92,6 +98,10 @@ def lstat(path: str) -> FileStatus | None:
         of = os.lstat(path)
     except (OSError, ValueError):
         return None
+    return _status(of)
+
+
+def _status(of: os.stat_result) -> FileStatus:
     return FileStatus(of.st_mode, of.st_uid, of.st_gid, of.st_nlink, of.st_size, of.st_ino)
 
 

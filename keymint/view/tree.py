@@ -17,7 +17,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from comarmor.values import dataclass
 from keymint.errors import KeymintError
-from keymint.view.file_reading import MAX_FILE, REGISTER, FileStatus, linked_file, lstat, read_error, read_file
+from keymint.view.file_reading import (
+    MAX_FILE,
+    REGISTER,
+    FileStatus,
+    linked_file,
+    lstat,
+    read_error,
+    read_file,
+    read_open_file,
+)
 from keymint.view.stamps import CompactMapping, digest
 
 if TYPE_CHECKING:
@@ -226,15 +235,15 @@ class Tree:
                 continue
             for name, is_folder in entries.items():
                 path = f"{inner}/{name}"
-                self._statuses[path] = self._status(path)
-                if is_folder:
-                    waiting += [path] if name != ".git" else []
-                elif name.endswith(suffix):
-                    try:
-                        content = self._file(path)
-                        self._contents[path] = self._equal.setdefault(content, content)
-                    except KeymintError as error:
-                        self._contents[path] = None if self._leaves_out(path, error, readable=readable) else error
+                if is_folder or not name.endswith(suffix):
+                    self._statuses[path] = self._status(path)
+                    waiting += [path] if is_folder and name != ".git" else []
+                    continue
+                try:
+                    content = self._opened(path)
+                    self._contents[path] = self._equal.setdefault(content, content)
+                except KeymintError as error:
+                    self._contents[path] = None if self._leaves_out(path, error, readable=readable) else error
         self._held = (*self._held, f"{folder}/")
 
     @property
@@ -331,6 +340,15 @@ class Tree:
             if real := linked_file(path, self._linked):
                 return read_file(real)
             raise
+
+    def _opened(self, path: str) -> bytes | None:
+        """Read a file, and keep the status that it has when it is opened."""
+        try:
+            content, self._statuses[path] = read_open_file(path) or (None, None)
+        except KeymintError:
+            self._statuses[path] = self._status(path)
+            return self._file(path)
+        return content
 
     def _status(self, path: str) -> FileStatus | None:
         found = lstat(path)
