@@ -299,8 +299,11 @@ class TunableScope:
         Raises:
             ComArmorError: the notation is wrong, a tunable is unknown, or there are too many expansions.
         """
-        pieces = parse(strip(text))
-        expanded = dict.fromkeys(expand(pieces, partial(self.values, where=where)))
+        bare = strip(text)
+        if len(bare) <= MOST_CHARACTERS and _PLAIN.fullmatch(bare):  # most are, and are their only expansion
+            expanded: dict[Value, None] = {(bare,): None}
+        else:
+            expanded = dict.fromkeys(expand(parse(bare), partial(self.values, where=where)))
         self.spend(expanded)
         return tuple(expanded)
 
@@ -310,7 +313,7 @@ class TunableScope:
         Raises:
             ComArmorError: the policy exceeds its limit.
         """
-        self.budget.used += sum(len(piece) for value in values for piece in value)
+        self.budget.used += sum([sum(map(len, value)) for value in values])
         if self.budget.used > MOST_EXPANDED_CHARACTERS:
             most = f"{MOST_EXPANDED_CHARACTERS:,} characters"
             raise ComArmorError(f"the expanded tunables have more than the {most} allowed", code="tunable")

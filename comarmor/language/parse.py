@@ -207,7 +207,7 @@ class _PolicyParser:
 
     def subjects(self, item: _PlacedElement, scope: TunableScope) -> Iterator[Attachment]:
         """Yield the attachments of a profile."""
-        for expression in self.attachments(item, scope):
+        for expression in self.attachments(item.element, item, scope):
             if expression.value:
                 self.refuse(
                     "{name} and {namespace} are only allowed in the attachments of rules",
@@ -223,9 +223,9 @@ class _PolicyParser:
                 )
             yield expression
 
-    def attachments(self, item: _PlacedElement, scope: TunableScope) -> Iterator[Attachment]:
-        """Yield the expressions of an ``<attachment>`` or ``<attachments>`` element."""
-        for element in item.element if item.element.tag == "attachments" else (item.element,):
+    def attachments(self, own: etree._Element, item: _PlacedElement, scope: TunableScope) -> Iterator[Attachment]:
+        """Yield the expressions of an ``<attachment>`` or ``<attachments>`` element of a profile or rule."""
+        for element in own if own.tag == "attachments" else (own,):
             where = item.document.place(element, item.chain)
             try:
                 values = scope.expand(element.text or "", where)
@@ -249,7 +249,7 @@ class _PolicyParser:
             elif child.tag == "partitions":
                 partitions = self.partitions(child, item)
             else:
-                attachments += self.attachments(_PlacedElement(child, item.document, item.chain), scope)
+                attachments += self.attachments(child, item, scope)
         kind, effect = str(item.element.tag), Effect(item.element.get("qualifier", ""))
         permissions = tuple(permission for permission in PERMISSIONS[kind] if permission in granted)
         audit = audit or item.element.get("modifier") == "AUDIT"
@@ -303,6 +303,8 @@ def parse(sources: PolicyFiles) -> Policy:
 
 def _unique(expressions: list[Attachment]) -> tuple[Attachment, ...]:
     """Return attachments without duplicate texts."""
+    if len(expressions) == 1:
+        return (expressions[0],)
     first: dict[str, Attachment] = {}
     for expression in expressions:
         first.setdefault(expression.text, expression)

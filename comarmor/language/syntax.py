@@ -29,7 +29,7 @@ class Attachment:
     @classmethod
     def of(cls, value: Value, where: Origin) -> Attachment:
         """Return the expression of these pieces."""
-        return cls("".join(value), where, value if any(isinstance(p, Placeholder) for p in value) else ())
+        return cls("".join(value), where, value if Placeholder in map(type, value) else ())
 
     def for_parts(self, namespace: str, name: str) -> str:
         """Return the expression for expressions of a namespace, which ends with ``/``, and of a name."""

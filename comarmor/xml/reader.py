@@ -78,14 +78,15 @@ class _Element(etree.ElementBase):
     @property
     def place(self) -> tuple[int, int]:
         """Line and column from 1, as expat counted them."""
-        if not hasattr(self, "at"):  # then no element of the document has its place yet
+        own = getattr(self, "at", 0)
+        if not own:  # then no element of the document has its place yet
             root: Any = self.getroottree().getroot()
             elements: list[Any] = list(root.iter())
             for element, at in zip(elements, getattr(root, "places", ()), strict=False):
                 element.at = at
             root.elements = elements[1:]  # without the root, since a cycle would stay
-        own = getattr(self, "at", 0)
-        return own // _COLUMN, own % _COLUMN
+            own = getattr(self, "at", 0)
+        return divmod(own, _COLUMN)
 
 
 def parse(content: bytes, name: str, *, limits: Limits = LIMITS, chain: tuple[Origin, ...] = ()) -> etree._Element:
