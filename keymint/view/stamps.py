@@ -24,6 +24,8 @@ MAX_RECORD = 1 << 30
 VERSION = 3
 _DIGEST = 64
 """Characters of a digest; longer texts are written once."""
+_AT_ONCE = 256
+"""Stamps that become text together."""
 _SEAL, _END = b',"sha256":"', b'"}\n'
 """Text around the digest at the end of a record, which detects damage."""
 
@@ -146,13 +148,15 @@ class State:
             number = shapes.setdefault(shape, len(shapes))
             return [stamp.inputs, number, values, brief(stamp.context), brief(stamp.lifetimes)]
 
-        # Each stamp becomes text at once: what the rows of a large fleet take is more than the stamps.
+        # Some stamps at a time become text: what the rows of a large fleet take is more than the stamps.
         body = io.BytesIO()
         body.write(b'{"stamps":{')
         for number, (stage, of_stage) in enumerate(sorted(self.stamps.items())):
             body.write(f"{'},' if number else ''}{_json(stage)}:{{".encode())
-            for at, (name, stamp) in enumerate(sorted(of_stage.items())):
-                body.write(f"{',' if at else ''}{_json(name)}:{_json(row(stamp))}".encode())
+            names = sorted(of_stage)
+            for at in range(0, len(names), _AT_ONCE):
+                rows = _json({name: row(of_stage[name]) for name in names[at : at + _AT_ONCE]})
+                body.write(f"{',' if at else ''}{rows[1:-1]}".encode())
         end = "}" if self.stamps else ""
         body.write(f'{end}}},"shapes":{_json([*shapes])},"texts":{_json([*texts])},"version":{VERSION}'.encode())
         return _sealed(body)
