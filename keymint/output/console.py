@@ -25,7 +25,7 @@ _COLOURS: Mapping[Severity, str] = {
     Severity.WARNING: "33",
     Severity.NOTE: "36",
 }
-_T = TypeVar("_T", Diagnostic, Step)
+_T = TypeVar("_T", Diagnostic, Step, str)
 _PROGRESS_AFTER = 1.0
 """Seconds of work before a progress bar appears."""
 
@@ -137,7 +137,7 @@ class Console:
         place = f"{diagnostic.where}: " if diagnostic.where else ""
         label = _paint(f"{diagnostic.severity}:", _COLOURS[diagnostic.severity], colour=self._streams.colour_err)
         hint = f" ({diagnostic.help})" if diagnostic.help else ""
-        about = f" [{diagnostic.code}]" + (f" (1 of {number:,} alike; -v shows all)" if number > 1 else "")
+        about = f" [{diagnostic.code}]{_others(number)}"
         self._say_err(f"{one_line(place)}{label} {one_line(diagnostic.message + hint + about)}")
 
     def _rolled_up(self, items: Sequence[_T]) -> Iterator[tuple[_T, int]]:
@@ -147,6 +147,11 @@ class Console:
     def line(self, text: str = "") -> None:
         """Show a line of a result unless quiet or JSON, with unprintable characters escaped."""
         self._line(one_line(text))
+
+    def messages(self, texts: Sequence[str]) -> None:
+        """Show lines that say what was done; many that are alike as one line. See :meth:`line`."""
+        for text, number in self._rolled_up(texts):
+            self.line(text + _others(number))
 
     def lines(self, texts: Iterable[str]) -> None:
         """Show lines of a result; see :meth:`line`."""
@@ -239,6 +244,11 @@ def _cell(value: Any) -> str:
         case tuple() | list():
             return " ".join(map(_cell, value))
     return one_line(str(value))
+
+
+def _others(number: int) -> str:
+    """Return how many lines a line stands for."""
+    return f" (1 of {number:,} alike; -v shows all)" if number > 1 else ""
 
 
 def _paint(text: str, code: str, *, colour: bool) -> str:

@@ -22,7 +22,7 @@ FEW = 10
 """So many messages or steps that are alike are shown one by one."""
 _NAMES = lazy_regex(r"(?:(?:'[^']*'|\S*[/\d]\S*)[,;]?\s*)+")
 """What differs between messages that say the same: quoted words, paths, names of ROS, and numbers."""
-_T = TypeVar("_T", Diagnostic, Step)
+_T = TypeVar("_T", Diagnostic, Step, str)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +76,7 @@ def rolled_up(items: Sequence[_T]) -> Iterator[tuple[_T, int]]:
     A fleet so prints as few lines as a robot.
 
     Args:
-        items: diagnostics or steps, in the order in which they are shown.
+        items: diagnostics, steps or lines, in the order in which they are shown.
     """
     if len(items) <= FEW:
         yield from ((each, 1) for each in items)
@@ -92,10 +92,12 @@ def rolled_up(items: Sequence[_T]) -> Iterator[tuple[_T, int]]:
             yield item, 1
 
 
-def _kind(item: Diagnostic | Step) -> tuple[str, str, str]:
+def _kind(item: Diagnostic | Step | str) -> tuple[str, str, str]:
     """Return what is equal for items that are alike: what they are called, and their words without names."""
     if isinstance(item, Step):
         return item.stage, item.action, _without_names(item.detail, item.package)
+    if isinstance(item, str):
+        return "", "", _without_names(item, "")
     return item.code, item.severity, _without_names(item.message, item.subject)
 
 

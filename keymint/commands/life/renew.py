@@ -82,7 +82,7 @@ def renew(
         return plan.noting(*told), renewal
 
     report, (result, lines, _) = run.made(make_plan, lambda plan, made: exit_code_of(plan) or findings_if(made[-1]))
-    run.console.lines(lines)
+    run.console.messages(lines)
     return replace(report, result=result)
 
 

@@ -72,7 +72,7 @@ def revoke(
         ],
         "issued_again": [subject_of(name) for name in updated_packages(plan) if name in chosen],
     }
-    run.console.lines(_lines(run, revoking, result, reason))
+    run.console.messages([*_lines(run, revoking, result, reason)])
     return replace(report, result=result)
 
 

@@ -78,7 +78,9 @@ def accept(
             store.commit(store.stage(answered))
     restart = [each.bundle.manifest.enclave for each in taken if each.step.writes()]
     if not run.dry_run:
-        run.console.lines(f"restart the processes of {each}: they read their files when they start" for each in restart)
+        run.console.messages(
+            [f"restart the processes of {each}: they read their files when they start" for each in restart]
+        )
     notes = [note for each in taken for note in each.acceptance.notes]
     result = {
         "keystore": keystore.shown,

@@ -113,3 +113,14 @@ def test_json_has_all() -> None:
     lines, _ = shown(report(expiring(300), provisioned(100)), as_json=True)
     document = json.loads("\n".join(lines))
     assert (len(document["diagnostics"]), len(document["steps"])) == (300, 301)
+
+
+def test_lines_that_say_what_was_done() -> None:
+    texts = [*(f"renewed /r{at}/arm: as you asked" for at in range(40)), "nothing else is due"]
+    for verbosity, expected in ((0, 2), (1, 41), (-1, 0)):
+        out = io.StringIO()
+        Console(Streams(out, out), verbosity=verbosity).messages(texts)
+        assert len(out.getvalue().splitlines()) == expected
+    out = io.StringIO()
+    Console(Streams(out, out)).messages(texts)
+    assert out.getvalue() == "renewed /r0/arm: as you asked (1 of 40 alike; -v shows all)\nnothing else is due\n"
