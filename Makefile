@@ -7,7 +7,7 @@ BIN = $(VENV)/bin
 # One more than the cores: tests on real software mostly wait for it.
 WORKERS ?= $(shell expr $$(nproc) + 1)
 
-.PHONY: help setup vendors vendors-new demo demo-zenoh test test-ros test-full test-all lint bench lock clean
+.PHONY: help setup vendors vendors-new demo demo-zenoh test test-ros test-full test-all docs lint bench lock clean
 
 help:
 	@echo "make demo    provision the talker/listener example and show the keystore"
@@ -17,6 +17,7 @@ help:
 	@echo "make test-full  the same without sampling: all cases of every exhaustive test"
 	@echo "make test-all   the suite on every installed Python from 3.11 on"
 	@echo "make vendors-new  unpack newer Fast DDS and Cyclone DDS from Debian into ~/.cache/keymint; nothing is installed"
+	@echo "make docs    the documentation as a site, in site/docs/index.html"
 	@echo "make lint    ruff, mypy, import-linter"
 	@echo "make bench   the benchmarks"
 	@echo "make lock    resolve requirements.lock again"
@@ -48,6 +49,9 @@ test-full: setup vendors vendors-new
 test-all: vendors vendors-new
 	@WORKERS=$(WORKERS) .ci/test-all $(PYTEST_ARGS)
 
+docs: setup
+	@BIN=$(BIN) .ci/docs site
+
 lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -69,4 +73,4 @@ lock: setup
 		--no-annotate --no-emit-index-url --extra pkcs11 --extra png -c requirements.lock pyproject.toml - -o image.lock
 
 clean:
-	rm -rf $(VENV) $(DEMO) $(ZENOH_DEMO)
+	rm -rf $(VENV) $(DEMO) $(ZENOH_DEMO) site
