@@ -12,7 +12,7 @@ from dataclasses import field
 
 from cryptography import x509
 
-from comarmor.errors import Origin
+from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
 from keymint.api import Authority, CertificateSpec, Phase, Rollover
 from keymint.errors import KeymintError
@@ -256,3 +256,16 @@ def key_elsewhere(name: str, where: Origin, help_: str) -> KeymintError:
 def new_authority_help(name: str) -> str:
     """Return the hint that names the option for a new authority, and its consequence."""
     return f"'keymint install --new-authority {name}' makes a new authority ({COST})"
+
+
+def elsewhere(session: Session) -> Iterator[Diagnostic]:
+    """Yield a note for each authority whose private key is not here, which may be meant so."""
+    for authority in session.profile.authorities:
+        workspace, name = session.workspace, authority.name
+        certificate, key = workspace.authority_certificate(name), workspace.authority_key(name)
+        is_known = session.tree.has_file(key) or session.tree.is_left_out(key)
+        if authority.certificate.key.uri or is_known or not session.tree.has_file(certificate):
+            continue
+        message = f"the private key of {name!r} is not here"
+        help_ = f"nothing to do if you keep it elsewhere; else restore it, or if it is lost: {new_authority_help(name)}"
+        yield Diagnostic.note("authority-key-missing", message, workspace.origin(certificate), help_)

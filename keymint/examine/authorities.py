@@ -99,19 +99,6 @@ _LIST = ("-c", "core.fsmonitor=false", "-c", "core.hooksPath=/dev/null", "ls-fil
 # -- private keys ---------------------------------------------------------------------------------------------------
 
 
-def elsewhere(session: Session) -> Iterator[Diagnostic]:
-    """Yield a note for each authority whose private key is not here, which may be meant so."""
-    for authority in session.profile.authorities:
-        workspace, name = session.workspace, authority.name
-        certificate, key = workspace.authority_certificate(name), workspace.authority_key(name)
-        is_known = session.tree.has_file(key) or session.tree.is_left_out(key)
-        if authority.certificate.key.uri or is_known or not session.tree.has_file(certificate):
-            continue
-        message = f"the private key of {name!r} is not here"
-        help_ = "restore it to sign anything"
-        yield Diagnostic.note("authority-key-missing", message, workspace.origin(certificate), help_)
-
-
 def encryption(session: Session) -> Iterator[Diagnostic]:
     """Yield a warning for each private key of an authority that is stored plain, although the profile asks otherwise.
 

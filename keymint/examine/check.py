@@ -14,14 +14,14 @@ from datetime import timedelta
 from functools import partial
 from typing import Any
 
-from comarmor.errors import Diagnostic
+from comarmor.errors import Diagnostic, Severity
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint.api import BuildOptions, BuildType, Inspection, Package
-from keymint.authority.authority_files import trusted_chains
+from keymint.authority.authority_files import elsewhere, trusted_chains
 from keymint.authority.examine import DECIDED_BY_A_PERSON
 from keymint.errors import KeymintError
-from keymint.examine.authorities import authorities, elsewhere, encryption, exposed_keys, git_exposure
+from keymint.examine.authorities import authorities, encryption, exposed_keys, git_exposure
 from keymint.examine.files import enclave_files_on_disk, file_status, outside_enclaves, unexpected_file
 from keymint.examine.keystore import deciding_findings, staged_keystore_session
 from keymint.host.pool import Pool
@@ -36,7 +36,7 @@ from keymint.view.stamps import digest
 from keymint.workspace import installed_enclaves
 from keymint.workspace.package_build_types import BUILD, build_types_of, is_build_current
 from keymint.workspace.session import Session
-from keymint.workspace.stored_keys import key_defects
+from keymint.workspace.stored_keys import key_defects, missing_key_remedy
 
 Inspections = Mapping[str, tuple[BuildType, Inspection]]
 """What each build type of a package sees of its enclave."""
@@ -177,9 +177,13 @@ def _identity_key(session: Session, package: Package, keyring: Keyring) -> tuple
         if session.tree.is_left_out(path) and not package.issuance.public_key:
             return "", ()
         if pem is None and not package.issuance.public_key and not package.identity.key.uri:
-            message = f"the private key of {subject} is not here"
-            where, help_ = session.workspace.origin(path), f"'keymint build {package.name}' restores it"
-            return "", (Diagnostic.note("key-missing", message, where, help_, subject),)
+            message, where = f"the private key of {subject} is missing", session.workspace.origin(path)
+            installed = session.tree.has_file(session.enclave(package.name) / installed_enclaves.KEY)
+            help_ = missing_key_remedy(package.name, in_enclave=installed)
+            found = Diagnostic.warning("key-missing", message, where, help_, subject)
+            # A copy of a workspace without any private file is there to be checked.
+            is_copy = session.tree.status(session.workspace.private) is None
+            return "", (replace(found, severity=Severity.NOTE) if is_copy else found,)
         key = identities.public_key(session, package)
         fingerprint = keys.fingerprint(key)
         keyring.require_own(package, key)

@@ -319,9 +319,16 @@ def _without_bytes(plan: PackagePlan) -> PackagePlan:
 # -- carrying out ----------------------------------------------------------------------------------------------------
 
 RECORD = "state.json"
-_TOLD_ONCE = {RIGHTS_OUTLIVE, "profile-name-twice", "profile-copied", "profile-wide"}
+_TOLD_ONCE = {
+    RIGHTS_OUTLIVE,
+    "node-cannot-start",
+    "parameter-client-cannot-start",
+    "profile-name-twice",
+    "profile-copied",
+    "profile-wide",
+}
 """Codes of what is told only by a run that does something: signed rights became narrower, and slips in the policy."""
-_TOLD_ANYWAY = {"distro-unnamed", ORPHANED, IGNORED}
+_TOLD_ANYWAY = {"distro-unnamed", "authority-key-missing", ORPHANED, IGNORED}
 """Codes of what each run finds out, whichever packages it looks at."""
 
 

@@ -117,6 +117,8 @@ class Run:
         self._spaces: dict[str, Path] = {
             space: folder for space in SPACES if (folder := options.get(f"{space}_space")) is not None
         }
+        self.shown_notes: Collection[str] = ()
+        """Codes of the notes that are shown although the output is not verbose."""
         self.known_workspace: Workspace | None = None
         self._sight: Sight | None = None
         """The files before a verb that does not write reads them, if its answer may be recorded."""
@@ -390,7 +392,9 @@ class Run:
         notes: bool | Collection[str] = False,
     ) -> Report:
         """Return the report of the verb; arguments as the fields of a report."""
-        return Report(self.verb, workspace, steps, diagnostics, result or {}, exit_code, self.dry_run, notes)
+        return Report(
+            self.verb, workspace, steps, diagnostics, result or {}, exit_code, self.dry_run, notes or self.shown_notes
+        )
 
     def presented(self, report: Report) -> Report:
         """Return a report with all paths as the user would type them, and equal diagnostics merged."""

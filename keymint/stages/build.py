@@ -169,7 +169,7 @@ def _plan_documents(session: Session, name: str, options: BuildOptions, *, force
     files = {file: File(content) for file, content in built.documents.items()}
     written = by_folder(folder, {file: new for file, new in files.items() if file in others})
     changes = (*(FolderChange(*each) for each in written.items()), *removals(session, folder, obsolete))
-    minted, fingerprint = _key(session, package, rekey=rekey) if package else ((), "")
+    minted, fingerprint = _key(session, package, rekey=rekey, restore=force) if package else ((), "")
     before = stamp is not None or any(content is not None for content in existing.values())
     action = (Action.UPDATED if before else Action.CREATED) if changes or minted else Action.UNCHANGED
     bytes_of = {file: len(content) for file, content in built.documents.items()}
@@ -217,7 +217,7 @@ def _plan_shared(session: Session, options: BuildOptions, *, force: bool) -> lis
     return [*planned, *obsolete_documents(session, STAGE, session.workspace.build / package_build_types.SHARED)]
 
 
-def _key(session: Session, package: Package, *, rekey: bool) -> tuple[tuple[FolderChange, ...], str]:
+def _key(session: Session, package: Package, *, rekey: bool, restore: bool) -> tuple[tuple[FolderChange, ...], str]:
     """Return the change that stores a new or restored private key, if one is needed, and its fingerprint.
 
     Raises:
@@ -235,7 +235,7 @@ def _key(session: Session, package: Package, *, rekey: bool) -> tuple[tuple[Fold
     if not rekey and session.tree.read(session.workspace.identity_key(package.name)) is not None:
         identities.public_key(session, package)
         return (), ""
-    change, fingerprint = identities.restore_or_mint(session, package, rekey=rekey)
+    change, fingerprint = identities.restore_or_mint(session, package, rekey=rekey, restore=restore)
     return (change,), fingerprint
 
 

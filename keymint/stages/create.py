@@ -10,7 +10,7 @@ import os
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.text import did_you_mean, first_few, quantity
 from keymint import api
 from keymint.errors import ExitCode, KeymintError
@@ -345,8 +345,10 @@ def policy_changed(session: Session) -> tuple[Diagnostic, ...]:
     if not names:
         return ()
     shown = first_few([subject_of(name) for name in names])
-    message = f"{quantity(len(names), 'source package')} out of date with the policy: {shown}"
-    return (Diagnostic.warning(CHANGED, message, None, "run 'keymint create --all'"),)
+    message = f"{quantity(len(names), 'source package')} out of date with the policy, which changed: {shown}"
+    file = session.workspace.shown(session.profile.policies[0].path)
+    help_ = f"run 'keymint create --all', or 'keymint provision {file}' for all stages"
+    return (Diagnostic.warning(CHANGED, message, Origin(file), help_),)
 
 
 def subjects_without_package(inputs: Inputs, policy: api.LoadedPolicy, known: Sequence[str]) -> tuple[Diagnostic, ...]:

@@ -30,7 +30,14 @@ from keymint.view.stamps import digest, digest_files
 from keymint.workspace.installed_enclaves import CERTIFICATE, KEY
 from keymint.workspace.package_build_types import build_types_of, roles_of, two_writers
 from keymint.workspace.session import Inputs, Session
-from keymint.workspace.stored_keys import key_place, key_remedy, key_renewal, known_fingerprint, load_key
+from keymint.workspace.stored_keys import (
+    key_place,
+    key_remedy,
+    key_renewal,
+    known_fingerprint,
+    load_key,
+    missing_key_remedy,
+)
 from keymint.workspace.workspace import with_place
 
 
@@ -117,19 +124,23 @@ def _require_plain(inputs: Inputs, package: Package, pem: bytes = b"") -> None:
     raise KeymintError(message, where=where, help=help_, code="identity-encrypted")
 
 
-def restore_or_mint(session: Session, package: Package, *, rekey: bool) -> tuple[FolderChange, str]:
-    """Plan the key of a package: the one in its enclave, or a new one if it never had any.
+def restore_or_mint(session: Session, package: Package, *, rekey: bool, restore: bool) -> tuple[FolderChange, str]:
+    """Plan the key of a package: a new one if it never had any, else the one in its enclave, if the user asks for that.
+
+    Who deletes a key may want to be rid of it, so it never comes back by itself.
 
     Args:
         session: the workspace and its profile.
         package: the package, which has no key in the workspace, or is to get another one.
         rekey: it is to get a new one.
+        restore: it is to get the one in its enclave.
 
     Returns:
         The change, and the key's fingerprint.
 
     Raises:
-        KeymintError: it had a key, which is no longer in its enclave; or the sources ask for an encrypted one.
+        KeymintError: it had a key, which is no longer in its enclave, or was not asked for; or the sources ask for an
+            encrypted one.
     """
     _require_plain(session, package)
     path = session.workspace.identity_key(package.name)
@@ -142,11 +153,11 @@ def restore_or_mint(session: Session, package: Package, *, rekey: bool) -> tuple
         there = keys.fingerprint(keys.from_pem(pem)) if pem else ""
     except KeymintError:
         there = ""
-    if there != known:
+    if there != known or not restore:
         raise KeymintError(
             f"the private key of {subject_of(package.name)} is missing",
             where=key_place(session, package.name),
-            help=f"restore it from a backup, or mint a new one with {key_renewal(package.name)}",
+            help=missing_key_remedy(package.name, in_enclave=there == known),
             code="key-missing",
         )
     return secret_file(path, pem), there

@@ -142,8 +142,14 @@ def key_place(inputs: Inputs, name: str) -> Origin:
 
 def key_remedy(name: str) -> str:
     """Return how to fix the key of a package that cannot be used."""
-    restored = f"remove it and run 'keymint build {name}' to restore it from the enclave"
+    restored = f"remove it and run 'keymint build -f {name}' to restore it from the enclave"
     return f"{restored}, or mint a new one with {key_renewal(name)}"
+
+
+def missing_key_remedy(name: str, *, in_enclave: bool) -> str:
+    """Return what the owner of a package without a key can do, whose enclave may have the key."""
+    source = f"with 'keymint build -f {name}' from the enclave, which has it," if in_enclave else "from a backup,"
+    return f"if it was deleted by mistake, restore it {source} else make a new one with {key_renewal(name)}"
 
 
 def key_renewal(name: str) -> str:

@@ -26,7 +26,7 @@ from keymint.names import subject_of
 from keymint.output.report import merged_diagnostics
 from keymint.output.sarif import of_diagnostics
 from keymint.output.sarif import sarif as sarif_log
-from keymint.stages.create import subjects_without_package
+from keymint.stages.create import policy_changed, subjects_without_package
 from keymint.stages.proof.proof_results import ProofEffort, proof_findings
 from keymint.stages.proof.prove import NO_PROVER, STAGE
 from keymint.view.stamps import State
@@ -81,6 +81,8 @@ def check(
         enclaves = with_enclaves(session, chosen, named=bool(names))
         state, found = _proven(session, enclaves, effort, run.pool, fresh=fresh, strict=strict)
         findings += (each for each in found if (each.code, each.where and each.where.file) not in known)
+    if any(each.code == "counterexample" for each in findings):
+        findings += policy_changed(session)  # the cause, if it is that
     unexamined = tuple(not_examined(session))
     findings += advisories(run, vendors)
     of_policy, state = _of_policy(session, state, chosen, complete=not names)

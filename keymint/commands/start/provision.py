@@ -3,11 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin
+from keymint.analysis.subject_patterns import rules_of
+from keymint.api import LoadedPolicy
+from keymint.authority.authority_files import elsewhere
 from keymint.command_line.options import (
     DEFAULT_PROFILE_TYPE,
     DocumentOptions,
@@ -19,7 +22,7 @@ from keymint.command_line.verb import PATH, Report, Run, argument, flag, option,
 from keymint.commands.start.build import build_options, policy_slips, unknown_hints
 from keymint.commands.start.create import AcceptanceOptions, accept, acceptance_options
 from keymint.commands.start.init import ProfileOptions, bootstrap_request, profile_options, refuse_contradiction
-from keymint.names import no_subject
+from keymint.names import no_subject, subject_of
 from keymint.stages.create import packages_to_create, plan_init, plan_policy, policy_path, refuse_unsupported
 from keymint.stages.pipeline import CREATE, INSTALL, Request, conduct
 from keymint.stages.work import InstallRequest, Work
@@ -28,6 +31,10 @@ from keymint.workspace.package_build_types import BUILD
 from keymint.workspace.policy_loading import lazy_policy
 from keymint.workspace.session import Inputs, Session
 from keymint.workspace.shipped_profiles import plan_release
+
+_MOST = 20
+"""Number of new packages of which this verb asks whether their nodes can start; ``check`` asks it of all."""
+_SHOWN = frozenset({"node-cannot-start", "parameter-client-cannot-start", "authority-key-missing"})
 
 
 @verb(jobs=True, dry_run=True, yes=True)
@@ -52,6 +59,7 @@ def provision(
     affected packages are rebuilt and signed, and keys are kept. Nothing is installed unless each document is proven to
     permit exactly what the policy allows, for all names.
     """
+    run.shown_notes = _SHOWN
     workspace = run.workspace_at(None)
     options = build_options(run, document_options)
     request = replace(request, force=force, build=options, allow_vendor_specific=options.allow_vendor_specific)
@@ -85,11 +93,24 @@ def provision(
             change=Plan((), work.session.state, (*told, *unknown)),
             follow=False,
             late=True,
-            notes=lambda done: policy_slips(done.session, done.of(CREATE, BUILD).steps, acquired),
+            notes=lambda done: _notes(done, acquired),
         )
         return conduct(work, everything, run.crew).plan
 
     return run.carry_out(workspace, make_plan)
+
+
+def _notes(work: Work, policy: LoadedPolicy) -> Iterator[Diagnostic]:
+    """Yield what is told of some work: slips in the policy, nodes that cannot start, authorities without a key."""
+    session, steps = work.session, work.of(CREATE, BUILD).steps
+    yield from policy_slips(session, steps, policy)
+    made = [subject_of(step.package) for step in steps if step.stage == CREATE and step.writes()][:_MOST]
+    if doubtful := [each for each in made if not any("/rosout" in rule.expressions for rule in rules_of(policy, each))]:
+        from keymint.examine.nodes import node_notes, of_policy  # noqa: PLC0415 - nodes with common/node.xml need none
+
+        profile = session.profile
+        yield from node_notes(session.plugins, profile.build_types, profile.distro, of_policy(policy, doubtful))
+    yield from elsewhere(session)
 
 
 def _named_for_rekeying(

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -63,8 +63,10 @@ def proven(crew: Crew, work: Work, names: Collection[str], policy: LoadedPolicy,
         return session.workspace.shown(session.workspace.build / name)
 
     if refused:
-        edits = _refused_edits(session, plan, {each.subject for each in refused})
+        edits = _refused_edits(session, plan, refused)
         by_edit = {each.where for each in edits}
+        causes = {each.subject for each in edits}
+        refused = [each for each in refused if each.subject not in causes and "" not in causes]
         # Other warnings of the plan often name the cause, e.g. a changed policy.
         warnings = [each for each in plan.diagnostics if each.code != HAND_EDITED or each.where not in by_edit]
         raise KeymintError.of([*warnings, *edits, *merged_packages(refused, shown)], ExitCode.FINDINGS)
@@ -75,8 +77,11 @@ def proven(crew: Crew, work: Work, names: Collection[str], policy: LoadedPolicy,
     return work.recording(results.state).noting(*warnings, part=STAGE)
 
 
-def _refused_edits(session: Session, plan: Plan, subjects: Collection[str]) -> list[Diagnostic]:
-    """Return an error for each manually edited document of subjects whose proof fails."""
+def _refused_edits(session: Session, plan: Plan, refused: Sequence[Diagnostic]) -> list[Diagnostic]:
+    """Return an error for each manually edited document of subjects whose proof fails, with the first refuted claim."""
+    claims = {each.subject: each.message for each in reversed(refused)} | {"": refused[0].message}
+    claims = {subject: message.removeprefix(f"{subject}: ") for subject, message in claims.items()}
+    subjects = {each.subject for each in refused}
     edited = [(each.where, each.subject) for each in plan.diagnostics if each.code == HAND_EDITED and each.where]
     # A document that all subjects share has no subject.
     found = [(where, "", "keymint build -f") for where, subject in edited if not subject]
@@ -89,9 +94,9 @@ def _refused_edits(session: Session, plan: Plan, subjects: Collection[str]) -> l
     edits = {
         where: Diagnostic.error(
             HAND_EDITED,
-            f"a manual edit changes what {subject or 'the subjects'} may do",
+            f"a manual edit changes what {subject or 'the subjects'} may do: {claims[subject]}",
             where,
-            f"change the policy instead; '{command}' discards the edit",
+            f"nothing was installed; change the policy instead: '{command}' discards the edit; --no-prove signs it",
             subject,
         )
         for where, subject, command in found

@@ -40,6 +40,14 @@ def test_a_right_that_the_keystore_does_not_grant_yet(keymint, provisioned: Path
     assert any("does not permit it to publish 'rt/more'" in each["message"] for each in found)
 
 
+def test_check_names_the_policy_as_the_cause(keymint, provisioned: Path) -> None:
+    edit(provisioned, RULE, "")
+    document = keymint("check", "--json", cwd=provisioned).document
+    (cause,) = (each for each in document["diagnostics"] if each["code"] == "policy-changed")
+    assert (cause["file"], cause["severity"]) == ("../policy.xml", "warning")
+    assert "'keymint provision ../policy.xml'" in cause["help"]
+
+
 @pytest.mark.parametrize("verb", VERBS)
 def test_another_text_of_the_same_meaning_is_no_drift(keymint, provisioned: Path, verb: str) -> None:
     edit(provisioned, RULE, f"<!-- twice -->{RULE}{RULE}")

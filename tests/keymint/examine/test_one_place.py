@@ -30,7 +30,7 @@ TWICE = {
         "zenoh-common-name", "zenoh-host-name", "zenoh-key-usage",
     },
     "the verb that would need it refuses": {
-        "adopt-unsupported", "authority-key-missing", "authority-missing", "bundle-dates", "identity-revoked",
+        "adopt-unsupported", "authority-missing", "bundle-dates", "identity-revoked",
         "key-missing", "rollover-incomplete",
     },
     "as imported, and as the profile specifies it": {"authority-drift"},

@@ -60,9 +60,9 @@ class TestIdentities:
         outcome = keymint("install", cwd=ws)
         assert outcome.code == 1
         assert "is not the private key that /talker had: it was replaced" in outcome.err
-        assert "'keymint build talker'" in outcome.err
+        assert "'keymint build -f talker'" in outcome.err
         (ws / IDENTITY_KEYS[0]).unlink()
-        assert keymint("build", "talker", cwd=ws).code == 0
+        assert keymint("build", "-f", "talker", cwd=ws).code == 0
         assert (ws / IDENTITY_KEYS[0]).read_bytes() == original
         assert (ws / IDENTITY_KEYS[0]).stat().st_mode & 0o777 == 0o600
         another_key(ws, ws / IDENTITY_KEYS[0])
@@ -71,6 +71,22 @@ class TestIdentities:
         assert keymint("install", cwd=ws).code == 0
         assert keymint("check", cwd=ws).code == 0
         assert public_key(ws / IDENTITY_KEYS[0]) != load_pem_private_key(original, None).public_key()
+
+    @pytest.mark.parametrize("words", [("build",), ("provision", "../policy.xml"), ("build", "talker")])
+    def test_a_deleted_key_never_comes_back_by_itself(self, keymint, ws: Path, words: tuple[str, ...]) -> None:
+        (ws / IDENTITY_KEYS[0]).unlink()
+        outcome = keymint(*words, cwd=ws)
+        assert (outcome.code, "private/identities/talker/key.pem: error" in outcome.err) == (1, True), outcome.err
+        assert "'keymint build -f talker'" in outcome.err
+        assert "'keymint build --rekey talker'" in outcome.err
+        assert not (ws / IDENTITY_KEYS[0]).exists()
+        (finding,) = (each for each in keymint("check", "--json", cwd=ws).document["diagnostics"])
+        assert (finding["code"], finding["severity"]) == ("key-missing", "warning")
+
+    def test_a_copy_without_private_files_is_checked_without_findings(self, keymint, ws: Path) -> None:
+        shutil.rmtree(ws / "private")
+        outcome = keymint("check", cwd=ws)
+        assert (outcome.code, "no findings" in outcome.out) == (0, True), outcome.err
 
     def test_a_key_that_is_nowhere_is_not_minted_without_being_asked(self, keymint, ws: Path) -> None:
         (ws / IDENTITY_KEYS[0]).unlink()

@@ -23,7 +23,9 @@ def test_a_subject_that_the_policy_names_since_is_told(keymint, just_provisioned
     more = "<profile name='new'><attachment>/new</attachment></profile></profiles>"
     policy.write_text(policy.read_text().replace("</profiles>", more))
     outcome = keymint("build", cwd=just_provisioned)
-    assert "1 source package out of date with the policy: /new (run 'keymint create --all')" in outcome.err
+    assert (
+        "1 source package out of date with the policy, which changed: /new (run 'keymint create --all'" in outcome.err
+    )
     policy.write_text("<profiles>")
     outcome = keymint("build", cwd=just_provisioned)
     assert "the policy changed since the packages were created, and cannot be read: " in outcome.err
@@ -34,8 +36,8 @@ def test_sources_and_policy_that_changed_are_said(keymint, provisioned: Path, po
     policy.write_text(policy.read_text().replace("/chatter", "/other"))
     for words in (["build"], ["install"], ["install", "--no-prove"]):
         outcome = keymint(*words, cwd=provisioned)
-        message = "2 source packages out of date with the policy: /robot1/listener, /talker"
-        assert f"{message} (run 'keymint create --all')" in outcome.err
+        message = "2 source packages out of date with the policy, which changed: /robot1/listener, /talker"
+        assert f"{message} (run 'keymint create --all', or" in outcome.err
     keymint("create", "--all", cwd=provisioned)
     outcome = keymint("install", "--no-prove", cwd=provisioned)
     assert "build/robot1/listener: warning: is stale; signing the existing build [2 packages]" in outcome.err

@@ -105,6 +105,7 @@ def test_an_edit_that_changes_the_meaning_is_refused_by_name(
     first = next(line for line in outcome.err.splitlines() if line.startswith(file))
     assert "error: a manual edit changes what /talker may do" in first
     assert discard in first
+    assert outcome.err.count("error:") == 1, "one cause, one message"
     assert "signing the edited document" not in outcome.err
     assert snapshot(provisioned / "install") == before
     keymint(*discard.strip("'").split()[1:], cwd=provisioned)

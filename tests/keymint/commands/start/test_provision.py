@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 
@@ -178,3 +179,24 @@ class TestWorkspaceOf2018:
         old = (ws / "src/talker/permissions.xml").read_bytes()
         keymint("create", "talker", cwd=ws)
         assert old in [path.read_bytes() for path in (ws / "src/talker").iterdir()]
+
+
+def test_new_subjects_whose_nodes_cannot_start_are_noted_once(keymint, policy: Path) -> None:
+    whole = policy.read_text()
+    policy.write_text(re.sub(r" *<xi:include[^>]*>\n?", "", whole))
+    assert policy.read_text() != whole
+    first = keymint("provision", policy, "-w", "ws", "--json").document
+    notes = [each for each in first["diagnostics"] if each["code"] == "node-cannot-start"]
+    assert notes
+    assert all(each["severity"] == "note" and each["line"] and "common/node.xml" in each["help"] for each in notes)
+    assert "note: /talker: a node of this subject cannot start" in keymint("provision", policy, "-w", "other").err
+    assert keymint("provision", policy, "-w", "ws").err == ""
+
+
+def test_an_authority_without_its_key_is_noted_each_time(keymint, policy: Path) -> None:
+    assert keymint("provision", policy, "-w", "ws").code == 0
+    (policy.parent / "ws/private/identity_ca.key.pem").unlink()
+    for _ in range(3):
+        outcome = keymint("provision", policy, "-w", "ws")
+        assert (outcome.code, outcome.out) == (0, "nothing to do: 2 packages up to date\n")
+        assert "note: the private key of 'identity_ca' is not here" in outcome.err

@@ -140,7 +140,7 @@ def test_infrastructure_is_no_subject_of_the_policy(keymint, tmp_path: Path, pol
     assert (ws / f"install/enclaves/{TOWER}/light.txt").read_text() == str(ws / "install")
     policy.write_text(policy.read_text().replace("/chatter", "/other"))
     outcome = keymint("build", "-w", "ws")
-    assert "2 source packages out of date with the policy: /robot1/listener, /talker" in outcome.err
+    assert "2 source packages out of date with the policy, which changed: /robot1/listener, /talker" in outcome.err
     rows = {
         row["package"]: row["stale"] for row in keymint("status", "-w", "ws", "--json").document["result"]["packages"]
     }
