@@ -58,6 +58,7 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
     "Life": {
         "renew": "Renew certificates and permissions that are due.",
         "revoke": "Revoke certificates, and issue new ones that old permissions do not fit.",
+        "remove": "Remove packages for good: sources, key and enclave; revoke their certificates.",
         "authority": "Show, renew, replace, import or export the certificate authorities.",
         "issued": "List the certificates that were issued, and which are revoked.",
         "crl": "Show the revocation lists, or issue them again.",

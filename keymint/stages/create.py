@@ -312,11 +312,29 @@ def _nothing_applies(name: str, policy: api.LoadedPolicy, *, known: bool) -> Dia
     if known:
         message, help_ = (
             f"{message} any more: it is left without permissions",
-            f"remove src/{name}, or name it in the policy",
+            f"'keymint remove {subject}' removes it and revokes its certificate; or name it in the policy",
         )
         return Diagnostic.warning("subject-unnamed", message, None, help_, subject)
     hint = did_you_mean(subject, policy.subjects(), "attach a profile to it")
     return Diagnostic.error("subject-unknown", message, None, hint, subject)
+
+
+def not_pruned(session: Session, policy: api.LoadedPolicy, told: Collection[str]) -> tuple[Diagnostic, ...]:
+    """Return a warning on packages that no profile applies to, for a user who expects that they are pruned, if any.
+
+    Args:
+        session: the workspace and its profile.
+        policy: its policy.
+        told: subjects that a warning is about already.
+    """
+    own = (name for name in session.packages() if session.role(name) is api.Role.SUBJECT)
+    subjects = [each for each in map(subject_of, own) if each not in told and policy.rules_digest(each) is None]
+    left = [each for each in subjects if policy.rules(each) is None]
+    if not left:
+        return ()
+    message = f"--prune removes enclaves without a package; no profile of the policy applies to {first_few(left)}"
+    help_ = f"'keymint remove {left[0]}' removes package, enclave and key, and revokes its certificate"
+    return (Diagnostic.warning("subject-unnamed", message, None, help_),)
 
 
 CHANGED = "policy-changed"

@@ -54,6 +54,10 @@ def _change_everything(folder: Path) -> None:
         governance.write_text(text.replace("<rtps_protection_kind>SIGN", "<rtps_protection_kind>ENCRYPT"))
 
 
+def _rename_listener(folder: Path) -> None:
+    (folder / "policy.xml").write_text(policy("/robot/talker", "/hearer"))
+
+
 def _remove_packages(folder: Path) -> None:
     (folder / "policy.xml").write_text(policy("/robot/talker"))
     for file in (folder / "ws" / "src" / "robot").glob("*.xml"):
@@ -120,6 +124,7 @@ SCENARIOS: Mapping[str, Scenario] = {
     "everything": Scenario((_nothing, _change_policy), _change_everything, (*PROVISION, "--rekey=*", "--yes")),
     "revoke": Scenario((_nothing,), _nothing, ("revoke", "listener", "--reason", "superseded", "-w", "{}/ws")),
     "retire": Scenario((_nothing,), _nothing, ("revoke", "listener", "--reason", "retired", "-w", "{}/ws")),
+    "remove": Scenario((_nothing,), _rename_listener, ("remove", "listener", "-w", "{}/ws")),
     "renewal": Scenario((_nothing, _make_older), _nothing, ("renew", "listener", "-w", "{}/ws")),
     "rekey": Scenario((_nothing, _make_older), _nothing, ("renew", "--rekey", "listener", "-w", "{}/ws")),
     "distribute": Scenario((_nothing,), _nothing, _replace(*BUNDLE)),

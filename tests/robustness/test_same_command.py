@@ -97,6 +97,10 @@ def without_listener(folder: Path) -> None:
     shutil.rmtree(folder / "ws/src/listener")
 
 
+def renamed(folder: Path) -> None:
+    (folder / "policy.xml").write_text(scenarios.policy("/robot/talker", "/hearer"))
+
+
 def asked(folder: Path) -> None:
     (folder / "r.pem").write_bytes(certification_request.make("/listener", KEY, "0123456789abcdef" * 2))
     (folder / "ws/private/identities/listener/key.pem").unlink()  # the robot's own takes its place
@@ -151,6 +155,7 @@ COMMANDS: Mapping[str, Struck] = {
     "rekey": Struck("renew --rekey listener" + WS, (PROVISION,)),
     "revoke": Struck("revoke listener --reason superseded" + WS, (PROVISION,)),
     "retire": Struck("revoke listener --reason retired" + WS, (PROVISION,)),
+    "remove": Struck("remove listener" + WS, (PROVISION, renamed)),
     "crl": Struck("crl --refresh" + WS, (PROVISION, GIVEN_UP)),
     "sign": Struck(SIGN, (PROVISION, asked)),
     "renew authority": Struck("authority renew identity_ca --flag-day" + WS, (PROVISION,)),

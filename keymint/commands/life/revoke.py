@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -60,7 +60,22 @@ def revoke(
         return plan.noting(*told, *revoking.skipped, *revoking.diagnostics), (revoking, plan, chosen)
 
     report, (revoking, plan, chosen) = run.made(make_plan)
-    result: dict[str, Sequence[Any]] = {
+    result = revocation_result(run, revoking, plan, chosen)
+    result["issued_again"] = [subject_of(name) for name in updated_packages(plan) if name in chosen]
+    run.console.messages([*shown_revocation(run, revoking, result, reason)])
+    return replace(report, result=result)
+
+
+def revocation_result(run: Run, revoking: Revoking, plan: Plan, chosen: Collection[str]) -> dict[str, Sequence[Any]]:
+    """Return what was revoked, and what to deploy and restart, for ``--json``.
+
+    Args:
+        run: the run.
+        revoking: the revocation.
+        plan: what is done.
+        chosen: the packages that it is about.
+    """
+    return {
         "revoked": [certificate_json(each) for each in revoking.certificates],
         "restart": [subject_of(name) for name in updated_packages(plan) if name not in chosen],
         "shared": [
@@ -70,14 +85,11 @@ def revoke(
             for change in step.changes
             for file in change.written
         ],
-        "issued_again": [subject_of(name) for name in updated_packages(plan) if name in chosen],
     }
-    run.console.messages([*_lines(run, revoking, result, reason)])
-    return replace(report, result=result)
 
 
-def _lines(run: Run, revoking: Revoking, result: Mapping[str, Sequence[Any]], reason: str) -> Iterator[str]:
-    """Yield what was revoked, and what to deploy and restart."""
+def shown_revocation(run: Run, revoking: Revoking, result: Mapping[str, Sequence[Any]], reason: str) -> Iterator[str]:
+    """Yield what was revoked, and what to deploy and restart, in words; the result is for ``--json``."""
     word = "would revoke" if run.dry_run else "revoked  "
     for each in result["revoked"]:
         yield f"{word} {each['subject']} serial {each['serial']}, generation {each['generation']}, {reason}"
@@ -88,7 +100,7 @@ def _lines(run: Run, revoking: Revoking, result: Mapping[str, Sequence[Any]], re
         )
     if shared := result["shared"]:
         yield f"deploy {', '.join(shared)}, and restart what reads it"
-    if again := result["issued_again"]:
+    if again := result.get("issued_again"):
         yield f"deploy and restart with the new certificate: {subject_list(again)}"
     elif reason != SUPERSEDED and revoking.packages:
         barred = subject_list([*map(subject_of, revoking.packages)])

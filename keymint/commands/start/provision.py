@@ -23,7 +23,14 @@ from keymint.commands.start.build import build_options, policy_slips, unknown_hi
 from keymint.commands.start.create import AcceptanceOptions, accept, acceptance_options
 from keymint.commands.start.init import ProfileOptions, bootstrap_request, profile_options, refuse_contradiction
 from keymint.names import no_subject, subject_of
-from keymint.stages.create import packages_to_create, plan_init, plan_policy, policy_path, refuse_unsupported
+from keymint.stages.create import (
+    not_pruned,
+    packages_to_create,
+    plan_init,
+    plan_policy,
+    policy_path,
+    refuse_unsupported,
+)
 from keymint.stages.pipeline import CREATE, INSTALL, Request, conduct
 from keymint.stages.work import InstallRequest, Work
 from keymint.store.changes import Plan
@@ -93,14 +100,14 @@ def provision(
             change=Plan((), work.session.state, (*told, *unknown)),
             follow=False,
             late=True,
-            notes=lambda done: _notes(done, acquired),
+            notes=lambda done: _notes(done, acquired, prune=request.prune),
         )
         return conduct(work, everything, run.crew).plan
 
     return run.carry_out(workspace, make_plan)
 
 
-def _notes(work: Work, policy: LoadedPolicy) -> Iterator[Diagnostic]:
+def _notes(work: Work, policy: LoadedPolicy, *, prune: bool) -> Iterator[Diagnostic]:
     """Yield what is told of some work: slips in the policy, nodes that cannot start, authorities without a key."""
     session, steps = work.session, work.of(CREATE, BUILD).steps
     yield from policy_slips(session, steps, policy)
@@ -111,6 +118,8 @@ def _notes(work: Work, policy: LoadedPolicy) -> Iterator[Diagnostic]:
         profile = session.profile
         yield from node_notes(session.plugins, profile.build_types, profile.distro, of_policy(policy, doubtful))
     yield from elsewhere(session)
+    if prune:
+        yield from not_pruned(session, policy, {each.subject for each in work.plan.diagnostics})
 
 
 def _named_for_rekeying(

@@ -13,7 +13,7 @@ from tests.conftest import NOW, snapshot
 LATE = {"SOURCE_DATE_EPOCH": str(NOW + 300 * 86400)}
 VERBS = (
     ("build",), ("install",), ("check",), ("prove",), ("verify",), ("renew",),
-    ("issued",), ("status",), ("bundle",), ("create",), ("revoke", "--reason", "superseded"),
+    ("issued",), ("status",), ("bundle",), ("create",), ("revoke", "--reason", "superseded"), ("remove",),
 )  # fmt: skip
 
 

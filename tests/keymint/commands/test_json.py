@@ -37,6 +37,7 @@ CALLS = {
     "env": ["env", "talker", "-w", "ws"],
     "prove": ["prove", "-w", "ws"],
     "revoke": ["revoke", "talker", "--reason", "superseded", "-w", "ws"],
+    "remove": ["remove", "--state", "revoked", "-w", "ws"],
     "issued": ["issued", "-w", "ws"],
     "crl": ["crl", "-w", "ws"],
     "renew": ["renew", "talker", "-w", "ws"],
