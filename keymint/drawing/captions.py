@@ -10,7 +10,7 @@ from comarmor.text import one_line, quantity
 from keymint.api.graph import DomainObject, EdgeOutcome
 from keymint.drawing.alike import Alike, natural
 from keymint.drawing.appearance import KINDS, SHORT_OUTCOMES
-from keymint.drawing.labelled_graph import namespace
+from keymint.drawing.labelled_graph import LabelledGraph, namespace
 from keymint.drawing.layout import NodeKey
 from keymint.drawing.simplify import LeftOut, SimplifiedGraph
 
@@ -48,6 +48,11 @@ def left_out_words(left_out: Mapping[LeftOut, int]) -> str:
     )
 
 
+def left_out_json(left_out: Mapping[LeftOut, int]) -> list[dict[str, object]]:
+    """Return the same for ``--json``."""
+    return [{"outcome": one, "kind": kind, "edges": count} for (one, kind), count in sorted(left_out.items())]
+
+
 def folded_name(members: Sequence[DomainObject]) -> str:
     """Return the label of folded objects: ``/talker/… (6 services)``."""
     first = members[0][1]
@@ -55,12 +60,18 @@ def folded_name(members: Sequence[DomainObject]) -> str:
     return one_line(f"{namespace(first.name)}… ({len(members)} {noun}{'' if noun.endswith('s') else 's'})")
 
 
+def size_words(labelled: LabelledGraph) -> str:
+    """Return how large a graph is: the one count that all pictures and pages of it have."""
+    objects = len({one.edge.domain_object for one in labelled.edges})
+    counts = [(len(labelled.subjects), "subject"), (objects, "object"), (labelled.total - labelled.endpoints, "edge")]
+    counts += [(labelled.endpoints, "single topic")] * (labelled.endpoints > 0)
+    return ", ".join(quantity(count, noun) for count, noun in counts)
+
+
 def subtitle(drawn: SimplifiedGraph) -> str:
     """Return the caption of a picture: what there is, and how it is drawn; nothing is left out in silence."""
     labelled, transport = drawn.labelled, drawn.options.transport
-    objects = {one.edge.domain_object for one in labelled.edges}
-    counts = ((len(labelled.subjects), "subject"), (len(objects), "object"), (labelled.total, "edge"))
-    notes = [", ".join(quantity(count, noun) for count, noun in counts)]
+    notes = [size_words(labelled)]
     if labelled.transports:
         transports = labelled.transports if transport is None else [labelled.transports[transport]]
         which = transports[0] if len(transports) == 1 else "all transports"

@@ -18,10 +18,10 @@ from typing import Any
 from markupsafe import Markup
 
 from comarmor.errors import citation
-from comarmor.text import one_line, quantity
+from comarmor.text import one_line
 from keymint.api.graph import DomainObject, EdgeOutcome
 from keymint.drawing.appearance import KINDS, OUTCOMES, Theme, object_name, style_sheet
-from keymint.drawing.captions import left_out_words
+from keymint.drawing.captions import left_out_words, size_words
 from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph
 from keymint.drawing.layout import NodeKey
 from keymint.drawing.simplify import EXPLICIT, DrawingOptions, LeftOut, priority, simplify
@@ -55,8 +55,7 @@ def html_report(labelled: LabelledGraph, sources: Mapping[str, bytes], picture: 
         "script": Markup(script),  # noqa: S704 - ours
         "policy": f"default-src 'none'; style-src {_digest(style)}; script-src {_digest(script)}; "
         "base-uri 'none'; form-action 'none'",
-        "size": f"{quantity(len(labelled.subjects), 'subject')}, {quantity(len(page.objects), 'object')}, "
-        f"{quantity(labelled.total, 'edge')}",
+        "size": size_words(labelled),
         "made": [one_line(text) for text in labelled.made],
         "verdicts": [
             {"value": outcome, "words": words, "count": counts[outcome]}

@@ -90,6 +90,7 @@ class LabelledGraph:
         patterns: objects whose name is an expression of the policy rather than a name.
         confusions: one per transport, if more edges were compared than this graph keeps; else empty.
         omitted: number of edges that this graph does not keep, by outcome and kind of their object.
+        endpoints: how many of all edges are no edges of the graph, but single topics of these that a transport allows.
         probes: objects whose name was made up to probe a pattern.
         made: what it was made of and when, in lines.
     """
@@ -101,6 +102,7 @@ class LabelledGraph:
     patterns: frozenset[Object] = frozenset()
     confusions: tuple[ConfusionMatrix, ...] = ()
     omitted: Mapping[tuple[EdgeOutcome, str], int] = field(default_factory=dict)
+    endpoints: int = 0
     probes: frozenset[Object] = frozenset()
     made: tuple[str, ...] = ()
 
@@ -191,7 +193,7 @@ def select_edges(
         if (subjects is None or one.edge.subject in subjects) and (not only or one.outcome() in only)
     )
     kept = {one.edge.subject for one in edges} if only else set(labelled.subjects if subjects is None else subjects)
-    return replace(labelled, edges=edges, subjects=tuple(sorted(kept)), confusions=(), omitted={})
+    return replace(labelled, edges=edges, subjects=tuple(sorted(kept)), confusions=(), omitted={}, endpoints=0)
 
 
 def _refuse(message: str, name: str, known: Sequence[str]) -> NoReturn:

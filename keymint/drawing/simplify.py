@@ -9,7 +9,7 @@ limit edges are left out, never false positives or what a rule denies explicitly
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from enum import StrEnum
 from itertools import islice
 
@@ -130,7 +130,7 @@ def simplify(labelled: LabelledGraph, options: DrawingOptions) -> SimplifiedGrap
         key: (key,) for key in {one.edge.domain_object for one in stands}
     }
     if options.fold or (options.fold is None and len(members) >= FOLD_FROM):
-        stands, members = _fold(stands, copies)
+        stands, members = _fold(stands, copies, labelled.patterns | labelled.probes)
     edges = sorted(stands, key=lambda one: one.edge)
     many = options.limit is None and len(edges) > MOST_LINES
     crowded = many or (single and len(folded.subjects) > GROUP_FROM)
@@ -203,7 +203,7 @@ def _copies(stands: Mapping[LabelledEdge, Sequence[LabelledEdge]]) -> Mapping[Do
 
 
 def _fold(
-    stands: _Stands, copies: Mapping[DomainObject, Sequence[DomainObject]]
+    stands: _Stands, copies: Mapping[DomainObject, Sequence[DomainObject]], unreal: Collection[Object]
 ) -> tuple[_Stands, dict[DomainObject, tuple[DomainObject, ...]]]:
     """Fold objects of one kind and namespace whose edges have the same subjects, permissions and labels.
 
@@ -215,7 +215,14 @@ def _fold(
         signatures[one.edge.domain_object].add((one.edge.subject, one.edge.permission, _judged(one)))
     folds: dict[object, list[DomainObject]] = defaultdict(list)
     for (domain, object_), signature in signatures.items():
-        place = (domain, object_.kind, namespace(object_.name), object_.partitions, len(copies[domain, object_]))
+        place = (
+            domain,
+            object_.kind,
+            namespace(object_.name),
+            object_.partitions,
+            object_ in unreal,
+            len(copies[domain, object_]),
+        )
         folds[(*place, frozenset(signature))].append((domain, object_))
     first_of = {key: min(fold) for fold in folds.values() for key in fold}
     drawn = {

@@ -83,6 +83,16 @@ def common_objects(rules: Iterable[SubjectRules], installed: Iterable[str] = ())
     return tuple(dict.fromkeys((*_selected(sorted(named)), *_selected(found))))
 
 
+def named_objects(rules: SubjectRules) -> Iterator[Object]:
+    """Yield the objects that rules name without a wildcard, with the topics and services that these consist of."""
+    for rule in rules.rules:
+        partitions = [text for each in rule.partitions if (text := glob.literal(glob.parse(each)))]
+        for name in filter(None, map(glob.literal, map(glob.parse, rule.expressions))):
+            yield from (Object(rule.kind, name, each) for each in ((), *((text,) for text in partitions)))
+            for permission in rule.permissions:
+                yield from (Object(kind, name + suffix) for kind, _, suffix in PARTS.get((rule.kind, permission), ()))
+
+
 def _selected(objects: Sequence[Object]) -> Sequence[Object]:
     return objects[:: max(1, -(-len(objects) // MOST_OF_OTHERS))]
 

@@ -19,7 +19,7 @@ from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.names import subject_of
 from keymint.verify import probes
-from keymint.verify.endpoint_policy import EdgeRow, EdgeRows, Naming
+from keymint.verify.endpoint_policy import RAW, EdgeRow, EdgeRows, Naming
 from keymint.workspace.installed_enclaves import enclave_names
 from keymint.workspace.session import Inputs, Session
 
@@ -207,6 +207,19 @@ def common_objects(policy: LoadedPolicy, scope: VerificationScope) -> tuple[Obje
 
 def _rules(policy: LoadedPolicy, scope: VerificationScope) -> list[SubjectRules]:
     return [policy.rules(subject) or SubjectRules(subject, ()) for subject in scope.enclaves]
+
+
+def made_up_objects(policy: LoadedPolicy, scope: VerificationScope, edges: Iterable[Edge]) -> Iterator[Object]:
+    """Yield the objects of edges that neither a rule nor a part of what it names has as its name: they probe patterns.
+
+    A raw topic is named if a ROS object that it carries is.
+    """
+    named = {object_ for each in _rules(policy, scope) for object_ in probes.named_objects(each)}
+    for edge in {edge.object: edge for edge in edges}.values():
+        naming = scope.namings.get(edge.subject) if edge.object.kind == RAW else None
+        meanings = (each.object for each in naming.meanings(edge)) if naming else ()
+        if edge.object not in named and named.isdisjoint(meanings):
+            yield edge.object
 
 
 def edges_of_policy(policy: LoadedPolicy, scope: VerificationScope, common: Sequence[Object]) -> EdgeRows:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +15,13 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.regex import lazy_regex
 from comarmor.text import quantity
 from keymint.api import Tier, Transport
-from keymint.api.graph import MISMATCHES, Edge, Graph
+from keymint.api.graph import MISMATCHES, Edge, EdgeOutcome, Graph
 from keymint.api.graph_json import load
-from keymint.command_line.named_files import read_input, source_files, write_outputs
+from keymint.command_line.named_files import made_of, read_input, source_files, write_outputs
 from keymint.command_line.named_policies import workspace_library_rules
 from keymint.command_line.options import Names, names_group, transport_option, vendors_of_option
 from keymint.command_line.verb import FILE, Report, Run, findings_if, flag, option, path_option, verb
+from keymint.drawing.captions import left_out_json
 from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph, policy_label, select_edges
 from keymint.drawing.simplify import DrawingOptions
 from keymint.life.workspace_register import with_enclaves
@@ -38,7 +40,13 @@ from keymint.store.changes import Action, Step
 from keymint.verify.compare import Asking
 from keymint.verify.copies import enclave_copies
 from keymint.verify.mismatch import Mismatch, Tally
-from keymint.verify.scope import VerificationScope, installed_scopes, selective, subjects_of_graph
+from keymint.verify.scope import (
+    VerificationScope,
+    installed_scopes,
+    made_up_objects,
+    selective,
+    subjects_of_graph,
+)
 from keymint.verify.transports import choose
 from keymint.verify.verification import Verification, VerificationPart, verified_in_parts
 from keymint.workspace.policy_loading import load_policy
@@ -129,11 +137,20 @@ def verify(
         _show(run, result)
         _write(run, verified, sarif, junit)
         if report is not None:
+            made = made_of(run, policy, session, read_input(run, graph) if graph else b"")
             for each in verified:
                 title = f"{graph.stem if graph else session.profile.name} on {', '.join(groups[each.build_type])}"
                 folder = report / run.plugins.build_type(each.build_type).TRANSPORT if len(verified) > 1 else report
                 labelled = labelled_edges(title, each, run.typed, workspace_library_rules(session))
-                run.console.lines(f"{file} written" for file in write_report(run, folder, labelled))
+                probes = (
+                    ()
+                    if graph
+                    else made_up_objects(policy, scopes[each.build_type], (one.edge for one in labelled.edges))
+                )
+                labelled = replace(labelled, probes=frozenset(probes), made=made)
+                written, missing = write_report(run, folder, labelled)
+                run.console.lines(f"{file} written" for file in written)
+                result["left_out"] = [*result.get("left_out", ()), *missing]
     wrong = any(outcome.confusion.errors for outcome in outcomes)
     return run.report(
         result,
@@ -215,6 +232,8 @@ def labelled_edges(
     last = [outcome.findings[-1].edge if outcome.omitted and outcome.findings else None for outcome in outcomes]
     known = [not outcome.omitted or bool(outcome.findings) for outcome in outcomes]
 
+    omitted: Counter[tuple[EdgeOutcome, str]] = Counter()
+
     def labels() -> Iterator[LabelledEdge]:
         room = {True: MOST_TRUE, False: MOST_TRUE}
         for edge, may in _with_endpoints(zip(verified.edges(), verified.labels, strict=True), findings):
@@ -230,12 +249,16 @@ def labelled_edges(
                 )
                 shared = decision.allowed and decision.where is not None and common(decision.where)
                 yield LabelledEdge(edge, policy, transport_labels, decision.audit, shared)
+            else:
+                omitted[EdgeOutcome.ALLOW if may else EdgeOutcome.DENY, edge.object.kind] += 1
             for at, end in enumerate(last):
                 known[at] = known[at] and edge != end
 
     confusions = [outcome.confusion for outcome in outcomes]
     names = [outcome.transport for outcome in outcomes]
-    return LabelledGraph.of(title, labels(), transports=names, confusions=confusions)
+    labelled = LabelledGraph.of(title, labels(), transports=names, confusions=confusions)
+    total = len(labelled.edges) + omitted.total()
+    return replace(labelled, omitted=omitted, endpoints=total - len(verified.labels))
 
 
 def _with_endpoints(
@@ -255,22 +278,25 @@ def _of_finding(finding: Mismatch, typed: Callable[[str], str]) -> Label:
     return Label(verdict.allowed, reason, finding.document.with_files(typed))
 
 
-def write_report(run: Run, folder: Path, labelled: LabelledGraph) -> list[str]:
+def write_report(run: Run, folder: Path, labelled: LabelledGraph) -> tuple[list[str], list[dict[str, object]]]:
     """Write the page and the pictures of a labelled graph into a directory.
 
     Returns:
-        The written files, as the user would type them.
+        The written files, as the user would type them, and how many edges of which kind the page does not list.
 
     Raises:
         KeymintError: a file cannot be replaced.
     """
     # Templates are slow to import.
-    from keymint.drawing.html_report import html_report  # noqa: PLC0415
+    from keymint.drawing.html_report import html_report, unlisted_edges  # noqa: PLC0415
     from keymint.drawing.svg import svg  # noqa: PLC0415
 
-    pictures = {"graph.svg": svg(labelled)}
+    # Probes make very many denials that no rule has; the page lists them.
+    options = DrawingOptions(denials=False)
+    pictures = {"graph.svg": svg(labelled, options)}
     for at, name in enumerate(labelled.transports):
-        pictures[f"graph-{_UNSAFE.sub('_', name)}.svg"] = svg(labelled, DrawingOptions(transport=at))
+        pictures[f"graph-{_UNSAFE.sub('_', name)}.svg"] = svg(labelled, replace(options, transport=at))
     # Written even without mismatches, to replace the picture of an earlier run.
     pictures["differences.svg"] = svg(select_edges(labelled, only=MISMATCHES))
-    return write_outputs(run, folder / _PAGE, html_report(labelled, source_files(run, labelled)), pictures)
+    page = html_report(labelled, source_files(run, labelled), options)
+    return write_outputs(run, folder / _PAGE, page, pictures), left_out_json(unlisted_edges(labelled))

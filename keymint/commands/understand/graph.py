@@ -32,7 +32,7 @@ from keymint.command_line.verb import (
     verb,
 )
 from keymint.drawing.appearance import Theme
-from keymint.drawing.captions import left_out_words
+from keymint.drawing.captions import left_out_json, left_out_words
 from keymint.drawing.labelled_graph import (
     DrawnPolicy,
     LabelledEdge,
@@ -162,9 +162,7 @@ def graph(
         "objects": len({each.edge.domain_object for each in labelled.edges}),
         "edges": {outcome: labelled.counts[outcome] for outcome in EdgeOutcome if labelled.counts[outcome]},
         **counts,
-        "left_out": [
-            {"outcome": outcome, "kind": kind, "edges": count} for (outcome, kind), count in sorted(left_out.items())
-        ],
+        "left_out": left_out_json(left_out),
         "content": None if output else content.decode(),
     }
     if left_out and drawing.limit is None:

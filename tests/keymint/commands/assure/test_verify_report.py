@@ -5,11 +5,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+from lxml import html
+
 from comarmor.errors import Origin, Reason
 from keymint.api import PolicyDecision, Tier, Verdict
-from keymint.api.graph import Column, ConfusionMatrix, Edge, Object
+from keymint.api.graph import Column, ConfusionMatrix, Edge, EdgeOutcome, Object
+from keymint.commands.assure import verify
 from keymint.commands.assure.verify import labelled_edges
+from keymint.drawing.html_report import html_report
 from keymint.drawing.labelled_graph import Label
+from keymint.drawing.svg import svg
 from keymint.verify.endpoint_policy import EdgeRow
 from keymint.verify.mismatch import EdgeComparison, Mismatch
 from keymint.verify.verification import Verification
@@ -85,3 +91,58 @@ def test_a_finding_is_in_the_report(keymint, provisioned: Path, policy: Path) ->
     assert 'class="false-negative"' in text
     assert "permissions.xml" in text
     assert "false positive" in (provisioned / "report/differences.svg").read_text()
+
+
+def test_one_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Edges that are not kept count as well, by kind; single topics are no edges."""
+    endpoint = Edge("/a", "publish", Object("topic", "rq/sRequest"))
+    found = outcome("x", ConfusionMatrix(0, 0, 1, 4), finding(endpoint))
+    monkeypatch.setattr(verify, "MOST_TRUE", 1)
+    graph = labels(found)
+    assert (len(graph.edges), graph.omitted, graph.total, graph.endpoints) == (
+        2,
+        {(EdgeOutcome.DENY, "ros_topic"): 3},
+        5,
+        1,
+    )
+    page = html_report(graph, {}).decode()
+    assert "4 edges, 1 single topic</p>" in page
+    assert "NOT LISTED: 3 of these edges: 3 denied (3 topic)" in page
+    assert "4 edges, 1 single topic; " in svg(graph).decode()
+    assert "NOT DRAWN: 3 of 5 edges: 3 denied (3 topic)" in svg(graph).decode()
+
+
+def test_the_report_has_the_count_of_the_verb_and_marks_probes(keymint, tmp_path: Path) -> None:
+    (tmp_path / "policy.xml").write_text(POLICY)
+    assert keymint("provision", "policy.xml", "-w", "ws").code == 0
+    found = keymint("verify", "-t", "omg", "-w", "ws", "--report", "report", "--json")
+    assert found.code == 0, found.err
+    edges = found.document["result"]["edges"]
+    assert found.document["result"]["left_out"] == []
+    page = html.document_fromstring((tmp_path / "report/index.html").read_bytes())
+    assert f"{edges} edges" in page.xpath("string(//header)")
+    assert sum(int(one.text) for one in page.xpath("//ul[@class='counts']//strong")) == edges
+    assert len(page.xpath("//section[@class='subject-part']//tr[@data-v]")) == edges
+    probes = {
+        cell.xpath("string(.//a)"): bool(cell.xpath(".//span[text()='probe']"))
+        for cell in page.xpath("//section[@id='objects']//tbody/tr/td[1]")
+    }
+    real = {"/chatter", "/fibonacci", "/fibonacci/_action/feedback", "/fibonacci/_action/send_goal", "rt/raw"}
+    assert {name for name, probe in probes.items() if not probe} >= real
+    assert {name for name in probes if "chatterx" in name or name.startswith(("/images", "rt/images"))} <= {
+        name for name, probe in probes.items() if probe
+    }
+    made = page.xpath("//header/p[contains(@class, 'made')]/text()")
+    assert [line.split()[0] for line in made] == ["keymint", "policy", "keystore"]
+    for name in ("graph", "graph-omg", "differences"):
+        text = (tmp_path / f"report/{name}.svg").read_text()
+        assert all(line in text for line in made)
+    assert "name made up to probe a pattern" in (tmp_path / "report/graph.svg").read_text()
+
+
+POLICY = """<profiles><profile name='a'><attachment>/a</attachment>
+<ros_topic qualifier='ALLOW'><attachment>/chatter</attachment><permissions><ros_publish/></permissions></ros_topic>
+<ros_topic qualifier='ALLOW'><attachment>/images/*</attachment><permissions><ros_subscribe/></permissions></ros_topic>
+<ros_action qualifier='ALLOW'><attachment>/fibonacci</attachment><permissions><ros_operate/></permissions></ros_action>
+<topic qualifier='ALLOW'><attachment>rt/raw</attachment><permissions><publish/></permissions></topic>
+</profile></profiles>"""
