@@ -91,7 +91,7 @@ def shared_rows(session: Session) -> tuple[StatusRow, ...]:
     try:
         of_types = users(session)
     except KeymintError as error:
-        return (StatusRow("", "source", "", problem=str(error.diagnostics[0])),)
+        return (StatusRow("", "source", "", problem=_in_words(error.diagnostics)),)
     return tuple(_shared_row(session, build_type) for build_type in of_types)
 
 
@@ -102,7 +102,7 @@ def _shared_row(session: Session, build_type: str) -> StatusRow:
         there = installed_shared(session, built)
         current = bool(built) and install.is_current(session, key)
     except KeymintError as error:  # a file that is no file, or too large
-        return StatusRow("", "source", "", problem=str(error.diagnostics[0]), build_type=build_type)
+        return StatusRow("", "source", "", problem=_in_words(error.diagnostics), build_type=build_type)
     stage = "source" if not built else "installed" if there else "built"
     is_stale = not built or not is_build_current(session, key)
     stale = "build" if is_stale else "" if current else "install"
@@ -119,7 +119,7 @@ def _row(session: Session, differing: Mapping[str, str], name: str, *, installed
         built = is_built(session, name)
         session.file_digests(name)
     except KeymintError as error:  # a file that is no file, or too large
-        problem, end = str(error.diagnostics[0]), _certificate_end(session, name)
+        problem, end = _in_words(error.diagnostics), _certificate_end(session, name)
         return StatusRow(name, "installed" if installed else "source", "", end, None, problem)
     stage = "installed" if installed else "built" if built else "source"
     if name in withdrawn(session):
@@ -132,7 +132,7 @@ def _row(session: Session, differing: Mapping[str, str], name: str, *, installed
         if session.role(name) is Role.SUBJECT:
             permissions_end = next((each.last for each in own if each.what == "grant"), None)
     except KeymintError as error:
-        stale, problem = "create", str(error.diagnostics[0])
+        stale, problem = "create", _in_words(error.diagnostics)
     stale = stale or ("" if current else "build")
     if not stale and stage == "revoked":
         return StatusRow(name, stage, "", None, permissions_end, problem)
@@ -149,6 +149,11 @@ def _row(session: Session, differing: Mapping[str, str], name: str, *, installed
     return StatusRow(name, stage, stale, end, permissions_end, problem, terms)
 
 
+def _in_words(problems: Sequence[Diagnostic]) -> str:
+    """Return the first of some problems on one line, with its code; empty if there are none."""
+    return f"{problems[0]} [{problems[0].code}]" if problems else ""
+
+
 def _differing(session: Session, policy: LoadedPolicy | None, names: Sequence[str]) -> Mapping[str, str]:
     """Return the packages that differ from the policy, each with a problem or an empty text."""
     if policy is None:
@@ -156,8 +161,8 @@ def _differing(session: Session, policy: LoadedPolicy | None, names: Sequence[st
     try:
         found = create.stale(session, policy, names)
     except KeymintError as error:
-        return dict.fromkeys(names, str(error.diagnostics[0]))
-    return {name: str(errors[0]) if errors else "" for name, errors in found.items()}
+        return dict.fromkeys(names, _in_words(error.diagnostics))
+    return {name: _in_words(errors) for name, errors in found.items()}
 
 
 # -- renewal --------------------------------------------------------------------------------------------------------

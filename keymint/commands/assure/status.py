@@ -152,7 +152,7 @@ def _show(
         cells.append(dict(zip(columns, (title, row.stage, row.stale, *ends), strict=True)))
     console.table(dict(zip(columns, columns, strict=True)), cells)
     problems = [(row.package or row.build_type or "shared documents", row.problem) for row in (*rows, *shared)]
-    console.lines(f"{whose}: {problem}" for whose, problem in problems if problem)
+    console.messages([f"{whose}: {problem}" for whose, problem in problems if problem])
     if not cells and not named:
         console.line("no packages; run 'keymint create --all'")
 
