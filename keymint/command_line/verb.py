@@ -280,7 +280,7 @@ def common_options(
             help="Workspace directory [the one that contains the current directory].",
         )
     yield click.Option(["--json", "as_json"], is_flag=True, help="Print one JSON document (docs/json.md).")
-    yield click.Option(["-v", "--verbose"], count=True, help="Show every step, file and note.")
+    yield click.Option(["-v", "--verbose"], count=True, help="Show every step, file, message and note.")
     yield click.Option(["-q", "--quiet"], is_flag=True, help="Show errors only.")
     for space in SPACES if workspace else ():
         where = f"Directory of the {space} space [{space}/]."

@@ -102,6 +102,8 @@ def _kind(item: Diagnostic | Step | str) -> tuple[str, str, str]:
 
 
 def _without_names(text: str, subject: str) -> str:
+    if not text:
+        return text
     name = subject.strip("/")
     return _NAMES.sub("… ", text.replace(name, "/") if name else text)
 
