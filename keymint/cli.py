@@ -52,7 +52,7 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
     "Assure": {
         "check": "Compare the installed keystore with its expected state.",
         "status": "Show the stage and the expiry of every package.",
-        "verify": "Report mismatches between policy and transports, edge by edge.",
+        "verify": "Report mismatches between policy and implementations of transports, edge by edge.",
         "prove": "Prove that installed documents permit exactly what the policy allows, for all names.",
     },
     "Life": {
@@ -82,7 +82,7 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
         "explain": "Say what a code in a message means: cause, effect and remedy.",
         "completion": "Print the completion script for a shell.",
         "plugins": "List the installed plugins.",
-        "transports": "List the transports: which are usable here, and how to install the others.",
+        "transports": "List the implementations of transports: which are usable here, and how to install the others.",
     },
 }
 """The verbs with their help, in groups; each is a folder of :mod:`keymint.commands`."""

@@ -86,7 +86,7 @@ READING_VERBS = (
     ("crl", "--refresh", "-w", "ws"),
     ("prove", "-w", "ws"),
     ("why", "-w", "ws", "/talker", "ros_publish", "/chatter"),
-    ("verify", "-w", "ws", "-t", "omg", "-t", "cyclonedds-0.10", "-t", "fastdds-2.9", "--report", "report"),
+    ("verify", "-w", "ws", "-i", "omg", "-i", "cyclonedds-0.10", "-i", "fastdds-2.9", "--report", "report"),
     ("request", "listener", "--folder", "ws/install"),
     ("sign", "listener.request.pem", "-w", "ws"),
     ("accept", "listener.bundle", "--folder", "ws/install"),

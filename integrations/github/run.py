@@ -153,7 +153,7 @@ def steps(inputs: Inputs) -> Iterator[Step]:
     tests = keymint("tests", "test", *distro, of_policy=policy)
     if [each["code"] for each in tests.diagnostics] != ["tests-none"]:
         yield tests
-    accepted = [f"--accept-package={each}" for each in inputs.accept_packages]
+    accepted = [f"--trust-package={each}" for each in inputs.accept_packages]
     provision = keymint("provision", "provision", "-w", inputs.workspace, *distro, *accepted, of_policy=policy)
     yield provision
     if provision.passed(with_findings=False):

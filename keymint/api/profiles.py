@@ -45,6 +45,7 @@ class WorkspaceProfile:
         distro: ROS 2 distribution.
         files: files of the profile by path relative to the profile space (for plugins of the same format).
         accepts: weakenings of the policy that the owner accepts, as build types call them.
+        renamed: elements by which its documents call what has another name now, with that name.
         revoke_superseded: a certificate is revoked where new signed rights are narrower than those it had.
         packages: what the owner accepted of the profiles that ROS packages ship, by package.
         package_copies: the folder of copies of what was accepted, a folder for each package; None if it has none.
@@ -63,6 +64,7 @@ class WorkspaceProfile:
     distro: str
     files: Mapping[str, bytes] = field(repr=False)
     accepts: frozenset[str] = frozenset()
+    renamed: Mapping[str, str] = field(default_factory=dict)
     revoke_superseded: bool = False
     packages: Mapping[str, AcceptedPackage] = field(default_factory=dict)
     package_copies: Path | None = None

@@ -330,10 +330,10 @@ vendors_of_option = option(
     help="Ask for the versions of vendors that this ROS 2 distribution ships [the workspace's]. Names of the transport "
     "stay those of the workspace.",
 )
-transport_option = plugin(
+implementation_option = plugin(
     "keymint.transports",
-    "Ask this transport; may be repeated [all usable ones; 'keymint transports' lists them].",
-    "-t",
-    "--transport",
+    "Ask this implementation of a transport; may be repeated [all usable ones; 'keymint transports' lists them].",
+    "-i",
+    "--implementation",
     multiple=True,
 )

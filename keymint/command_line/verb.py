@@ -7,12 +7,14 @@ option("-o", type=FILE)`` is an option ``-o/--output`` with its value, named onc
 
 from __future__ import annotations
 
+import copy
 import functools
 import inspect
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import click
@@ -41,7 +43,9 @@ _CHOSEN_BY_USERS = {"keymint.build_types", "keymint.transports"}
 """The groups of plugins of which most users choose one."""
 
 
-def verb(*, of: str = "", name: str = "", **common: bool) -> Callable[[Verb], click.Command]:
+def verb(
+    *, of: str = "", name: str = "", former: Mapping[str, str] = MappingProxyType({}), **common: bool
+) -> Callable[[Verb], click.Command]:
     """Return a decorator that makes a click command of a function ``(run, **options) -> Report``.
 
     The defaults of the function's arguments are its options. The command adds the common options, shows the report or
@@ -51,6 +55,7 @@ def verb(*, of: str = "", name: str = "", **common: bool) -> Callable[[Verb], cl
     Args:
         of: the group of verbs that it belongs to, e.g. ``authority``; empty if it stands alone.
         name: its name, if that is not the name of the function.
+        former: the names that options had in the release before, by the arguments of the function.
         common: which common options it has; see :func:`common_options`.
     """
     shared = list(common_options(**common))
@@ -60,9 +65,15 @@ def verb(*, of: str = "", name: str = "", **common: bool) -> Callable[[Verb], cl
         own_name = name or function.__name__.removeprefix(f"{of}_")
         said = f"{of} {own_name}".strip()
         parameters, groups = parameters_of(function)
+        renamed = [
+            (each, _former(each, former[each.name]))
+            for each in parameters
+            if isinstance(each, click.Option) and each.name in former
+        ]
 
         def command(context: click.Context, /, **options: Any) -> None:
             common = {key: options.pop(key) for key in list(options) if key in names}
+            hints = tuple(_renamed(context, options, now, before) for now, before in renamed)
             options |= {key: group.taken(options) for key, group in groups.items()}
             setting: Setting = context.find_root().obj()
             run = Run(setting, said, common)
@@ -73,17 +84,37 @@ def verb(*, of: str = "", name: str = "", **common: bool) -> Callable[[Verb], cl
                 report = _unaccepted_report(run, error)
             except KeymintError as error:
                 report = run.report({}, error.diagnostics, error.exit_code, workspace=run.known_workspace)
+            report = replace(report, diagnostics=(*report.diagnostics, *filter(None, hints)))
             run.console.show(run.presented(run.told(report)))
             context.exit(int(report.exit_code))
 
         functools.update_wrapper(command, function)
         made = click.command(own_name)(click.pass_context(command))
-        made.params += [*parameters, *shared]
+        made.params += [*parameters, *shared, *(before for _, before in renamed)]
         has_hidden = any(isinstance(each, click.Option) and each.hidden for each in made.params)
         made.params.append(help_all(hidden=not has_hidden))
         return made
 
     return decorate
+
+
+def _former(now: click.Option, names: str) -> click.Option:
+    """Return an option that does what another one does, by the names that it had before; no help page has it."""
+    before = copy.copy(now)
+    before.name, before.opts, before.hidden = f"former_{now.name}", names.split(), True
+    return before
+
+
+def _renamed(
+    context: click.Context, options: dict[str, Any], now: click.Option, before: click.Option
+) -> Diagnostic | None:
+    """Move the value of an option that was given by its former name, and return a hint; None if it was not given."""
+    value = options.pop(str(before.name))
+    if context.get_parameter_source(str(before.name)) is not ParameterSource.COMMANDLINE:
+        return None
+    options[str(now.name)] = (*options[str(now.name)], *value) if isinstance(value, tuple) else value
+    message = f"the option {'/'.join(before.opts)} is called {now.opts[-1]} now"
+    return Diagnostic.warning("option-renamed", message, None, "write the new name: the next release has no other")
 
 
 def _unaccepted_report(run: Run, error: UnacceptedPackagesError) -> Report:

@@ -56,7 +56,7 @@ def outliving_rights(session: Session, name: str, subject: str, excess: str, unt
     message = f"{excess}; whoever has its key may present them until {iso_time(until)}"
     help_ = (
         f"'keymint revoke {name} --reason superseded' ends them, as does --revoke-superseded; "
-        f"'keymint issued {name} --accept' keeps them"
+        f"'keymint issued {name} --tolerate' keeps them"
     )
     return Diagnostic.note(RIGHTS_OUTLIVE, message, session.package_marker(name), help_, subject)
 

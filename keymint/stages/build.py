@@ -89,6 +89,9 @@ class BuildStage(PackageStage):
             message = f"no distribution is named; as far as installed documents tell, the robots have {own.distro}"
             help_ = f"write <layout>{own.layout}</layout><distro>{own.distro}</distro> into <export>, or what they have"
             diagnostics[Diagnostic.warning("distro-unnamed", message, session.profile_marker(), help_)] = None
+        for former, now in session.profile.renamed.items():
+            message, help_ = f"the element <{former}> is called <{now}> now", "write the new name: the former one goes"
+            diagnostics[Diagnostic.warning("element-renamed", message, session.profile_marker(), help_)] = None
         return Plan((*steps, *steps_of(shared)), state_after(built.state, STAGE, shared), tuple(diagnostics))
 
     def _replaced_keys(self, planned: Sequence[PackagePlan]) -> Iterator[Diagnostic]:

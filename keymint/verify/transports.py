@@ -66,7 +66,7 @@ def _named(plugins: Plugins, chosen: Sequence[str], tier: Tier, build_types: Seq
             raise KeymintError(
                 f"the transport {name!r} reads what {needed} builds, but the build type here is "
                 f"{' and '.join(build_types)}",
-                help=f"use {' or '.join(f'-t {other}' for other in fitting)}" if fitting else "",
+                help=f"use {' or '.join(f'-i {other}' for other in fitting)}" if fitting else "",
                 code="transport-foreign",
                 exit_code=ExitCode.USAGE,
             )

@@ -126,7 +126,7 @@ def plan_acceptance(
                 f"the package {quote(name)} ships something else than what is to be accepted: its digest is "
                 f"{package_digest(files)}",
                 where=by_package[name][0].where,
-                help="leave out --accept-package to see what it would change now",
+                help="leave out --trust-package to see what it would change now",
                 code="package-changed",
             )
         accepted[name] = AcceptedPackage(files, before.follows_links or trust_links)
@@ -217,7 +217,7 @@ def _diagnostics(shipped: Sequence[ShippedFile], found: Mapping[ShippedFile, str
         )
         value = package_digest({each.path: each.sha256 for each in shipped if each.package == name})
         help_ = (
-            f"if what it changes is right, repeat the command with --accept-package {name}={value}; "
+            f"if what it changes is right, repeat the command with --trust-package {name}={value}; "
             "'keymint create --all' and 'keymint provision' list who gains and who loses what by it"
         )
         code = "package-changed" if known else "package-unaccepted"

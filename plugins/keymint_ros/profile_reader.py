@@ -25,6 +25,8 @@ MANIFEST = "keymint_profile.xml"
 NAME = "keymint_ros"
 LIBRARY = "comarmor.d"
 
+_FORMER = "accept"
+"""The former name of <exceptions>."""
 _AUTHORITY_DEFAULTS = "profile.defaults/authorities.xml"
 _GRANT_DEFAULTS = "package.defaults/permissions.xml"
 _IDENTITY_DEFAULTS = "package.defaults/identities.xml"
@@ -59,7 +61,8 @@ def _manifest(root: etree._Element) -> _ProfileManifest:
         layout=exports.get("layout", ""),
         distro=named or distros.DEFAULT,
         files={},
-        accepts=frozenset(str(part.tag) for part in root.iterfind("accept/*")),
+        accepts=frozenset(str(part.tag) for name in ("exceptions", _FORMER) for part in root.iterfind(f"{name}/*")),
+        renamed={_FORMER: "exceptions"} if root.find(_FORMER) is not None else {},
         revoke_superseded=root.find("revoke_superseded") is not None,
         distro_named=bool(named),
     )

@@ -129,7 +129,7 @@ def signed_size(unsigned: bytes) -> int:
     return len(unsigned) + SIGNATURE
 
 
-ACCEPT = "<accept><token_keys/></accept> in profile/keymint_profile.xml"
+ACCEPT = "<exceptions><token_keys/></exceptions> in profile/keymint_profile.xml"
 
 
 def check_token_key(package: Package, *, allow_vendor_specific: bool) -> Iterator[Diagnostic]:

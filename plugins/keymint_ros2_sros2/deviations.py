@@ -27,7 +27,7 @@ _LONGEST_SEGMENT = 255
 ACCEPTABLE = frozenset((
     "sros2-path-twice", "sros2-two-profiles", "sros2-namespace", "sros2-padded", "sros2-tilde", "sros2-backslash",
 ))  # fmt: skip
-"""The codes of what has a meaning as it reads, which ``--accept`` takes."""
+"""The codes of what has a meaning as it reads, which ``--as-written`` takes."""
 
 
 def deviations(policy: syntax.SourcePolicy) -> tuple[Diagnostic, ...]:
@@ -55,7 +55,7 @@ def _doubled(policy: syntax.SourcePolicy) -> Iterator[Diagnostic]:
                 f"the enclave {quote(enclave.path)} stands here and at {before.where.alone()}: generate_artifacts uses"
                 " the last one only, create_permission the first"
             )
-            help_ = "write one <enclave>; --accept takes all of them together"
+            help_ = "write one <enclave>; --as-written takes all of them together"
             yield Diagnostic.error("sros2-path-twice", message, enclave.where, help_, enclave.path)
 
 
@@ -72,19 +72,19 @@ def _of_enclave(enclave: syntax.Sros2Enclave) -> Iterator[Diagnostic]:
             f"the enclave {quote(path)} has {len(enclave.groups)} <profiles>: SROS2 writes a grant for each,"
             " and participants use the first only"
         )
-        help_ = "put all <profile> into one <profiles>; --accept takes all of them together"
+        help_ = "put all <profile> into one <profiles>; --as-written takes all of them together"
         yield Diagnostic.error("sros2-two-profiles", message, enclave.groups[1].where, help_, path)
 
 
 def _of_node(enclave: syntax.Sros2Enclave, node: syntax.RosNode) -> Iterator[Diagnostic]:
     if node.ns and not node.ns.startswith("/"):
         message = f"the namespace {quote(node.ns)} does not begin with '/': SROS2 writes topics that no node has"
-        help_ = f"write ns={quote('/' + node.ns.strip())}; --accept reads it so"
+        help_ = f"write ns={quote('/' + node.ns.strip())}; --as-written reads it so"
         yield Diagnostic.error("sros2-namespace", message, node.where, help_, enclave.path)
     for name, value in (("ns", node.ns), ("node", node.name)):
         if value != value.strip():
             message = f"{name}={quote(value)} has white space around it, which SROS2 keeps"
-            yield Diagnostic.error("sros2-padded", message, node.where, "remove it; --accept reads it so", enclave.path)
+            yield Diagnostic.error("sros2-padded", message, node.where, "remove it, or --as-written", enclave.path)
 
 
 def _of_entry(enclave: syntax.Sros2Enclave, node: syntax.RosNode, entry: syntax.Entry) -> Iterator[Diagnostic]:
@@ -100,14 +100,14 @@ def _of_entry(enclave: syntax.Sros2Enclave, node: syntax.RosNode, entry: syntax.
         return
     if text != trimmed:
         message = f"{quote(text)} has white space around it, which SROS2 keeps: {_names(node, text)}"
-        yield Diagnostic.error("sros2-padded", message, entry.where, "remove it; --accept reads it so", enclave.path)
+        yield Diagnostic.error("sros2-padded", message, entry.where, "remove it, or --as-written", enclave.path)
     if trimmed.startswith("~") and trimmed[1:2] not in ("", "/"):
         message = f"{quote(text)} is not a private name, which begins with '~/': {_names(node, text)}"
-        help_ = f"write ~/{trimmed[1:]}, or the full name; --accept reads it as ~/{trimmed[1:]}"
+        help_ = f"write ~/{trimmed[1:]}, or the full name; --as-written reads it as ~/{trimmed[1:]}"
         yield Diagnostic.error("sros2-tilde", message, entry.where, help_, enclave.path)
     if "\\" in text:
         message = f"{quote(text)} has a '\\', which escapes a character in the standard, and is one for Fast DDS"
-        help_ = "no ROS name has a '\\': remove it; --accept reads it as the standard does"
+        help_ = "no ROS name has a '\\': remove it; --as-written reads it as the standard does"
         yield Diagnostic.error("sros2-backslash", message, entry.where, help_, enclave.path)
 
 

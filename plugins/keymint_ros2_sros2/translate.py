@@ -248,7 +248,7 @@ def translate_policy(request: ImportRequest) -> ImportedPolicy:
         )
         for path, group in enclaves.items()
     )
-    help_ = "the new policy has it as it reads (--accept)"
+    help_ = "the new policy has it as it reads (--as-written)"
     accepted = (replace(each, severity=Severity.WARNING, help=help_) for each in found)
     return ImportedPolicy(document, subjects, (*accepted, *_notes(policy)))
 

@@ -125,7 +125,7 @@ _ASKED: tuple[Callable[[Steps], object], ...] = (
     lambda s: s.run("verify", *models(s, "ws"), "-w", "ws", "--json"),
     lambda s: s.both("query", "policy.xml", "who can publish /r1/scan"),
     lambda s: s.both("query", "policy.xml", "what can /r1/talker do"),
-    lambda s: s.run("graph", "policy.xml", "-f", "dot"),
+    lambda s: s.run("graph", "policy.xml", "--format", "dot"),
     lambda s: s.run("status", "-w", "ws", "--json"),
     *(partial(_exports, kind) for kind in FORMATS),
 )  # fmt: skip
@@ -271,7 +271,7 @@ def _odd(name: str, text: str, s: Steps) -> None:
     s.both("lint", name)
     s.both("fmt", "--diff", name)
     s.both("query", name, "who can publish /t")
-    s.run("graph", name, "-f", "dot")
+    s.run("graph", name, "--format", "dot")
     for each in FORMATS:
         s.both("export", name, "--format", each)
 
@@ -279,7 +279,7 @@ def _odd(name: str, text: str, s: Steps) -> None:
 def _odd_sros2(text: str, s: Steps) -> None:
     s.write("policy.xml", text)
     s.both("import", "policy.xml", "--dry-run")
-    s.both("import", "policy.xml", "--accept", "-o", "accepted")
+    s.both("import", "policy.xml", "--as-written", "-o", "accepted")
     s.both("import", "policy.xml", "--no-implicit", "-o", "plain")
     s.run("provision", "accepted", "-w", "ws")
     s.both("check", "-w", "ws")

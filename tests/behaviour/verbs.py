@@ -206,7 +206,7 @@ def _exchange(s: Steps) -> None:
     s.run("import", "keymint_ros2_sros2.out", "-o", "back")
     s.run("diff", "policy.xml", "back")
     s.both("import", "sros2.xml")
-    s.run("import", "sros2.xml", "-o", "comarmor.d", "--accept", "-f")
+    s.run("import", "sros2.xml", "-o", "comarmor.d", "--as-written", "-f")
     s.run("export", "comarmor.d", "--format", "keymint_ros2_sros2")
     s.run("import", "policy.xml")
 
@@ -228,11 +228,11 @@ def _graphs(s: Steps) -> None:
     s.run("learn", graph, "-o", "learned.xml")
     s.both("learn", graph, "--policy", "policy.xml", "-o", "more.xml")
     s.run("provision", "learned.xml", "-w", "ws")
-    s.both("verify", "-t", "omg", "-w", "ws", "--graph", graph)
-    s.run("verify", "-t", "omg", "-w", "ws", "--graph", graph, "--report", "report", "--limit", 2)
+    s.both("verify", "-i", "omg", "-w", "ws", "--graph", graph)
+    s.run("verify", "-i", "omg", "-w", "ws", "--graph", graph, "--report", "report", "--limit", 2)
     for more in (("--all",), ("--by", "namespace"), ("--only", "denied"), ("--group",), ("--fold", "--common")):
-        s.run("graph", graph, "--policy", "policy.xml", "-f", "svg", *more)
-        s.run("graph", "policy.xml", "-f", "dot", *more)
+        s.run("graph", graph, "--policy", "policy.xml", "--format", "svg", *more)
+        s.run("graph", "policy.xml", "--format", "dot", *more)
     s.write("broken.json", json.dumps({"format": "keymint-graph", "version": 9}))
     for verb in ("graph", "learn"):
         s.both(verb, "broken.json")
@@ -242,7 +242,14 @@ def _questions(s: Steps) -> None:
     s.write("policy.xml", POLICY)
     s.write("wider.xml", WIDER)
     fleet = s.example("fleet")
-    for more in ((), ("-f", "markdown"), ("-f", "json"), ("--json",), ("--budget", 5), ("-f", "markdown", "--json")):
+    for more in (
+        (),
+        ("--format", "markdown"),
+        ("--format", "json"),
+        ("--json",),
+        ("--budget", 5),
+        ("--format", "markdown", "--json"),
+    ):
         s.run("diff", "policy.xml", "wider.xml", *more)
         s.run("diff", "wider.xml", "policy.xml", *more)
     s.both("diff", "policy.xml", "policy.xml")
@@ -258,16 +265,16 @@ def _questions(s: Steps) -> None:
     for words in (("/talker", "publish", "/chatter"), ("/talker", "ros_publish", "/status/secret"),
                   ("/x", "publish", "/y"),
                   ("/talker", "publish", "rt/chatter"), ("/robot1", "call", "/add"), ("/planner", "execute", "/add"),
-                  ("/talker", "fly", "/x"), ("/talker", "publish", "/chatter", "-t", "omg"),
+                  ("/talker", "fly", "/x"), ("/talker", "publish", "/chatter", "-i", "omg"),
                   ("/talker", "publish")):  # fmt: skip
-        s.both("why", *words, *("-t", "omg", "-t", "zenoh-1"), "-w", "ws")
+        s.both("why", *words, *("-i", "omg", "-i", "zenoh-1"), "-w", "ws")
     s.both(
-        "why", "/talker", "publish", "x", "--kind", "topic", "--partition", "p", "--domain", 3, "-t", "omg", "-w", "ws"
+        "why", "/talker", "publish", "x", "--kind", "topic", "--partition", "p", "--domain", 3, "-i", "omg", "-w", "ws"
     )
     for transport in ("omg", "cyclonedds-0.10", "cyclonedds-11", "fastdds-2.9", "fastdds-3.3", "zenoh-1", "no"):
-        s.both("verify", "-t", transport, "-w", "ws")
-    s.both("verify", "--distro", "ardent", "-t", "omg", "-w", "ws")
-    s.both("verify", "--tier", "admission", "-t", "omg", "-w", "ws")
+        s.both("verify", "-i", transport, "-w", "ws")
+    s.both("verify", "--distro", "ardent", "-i", "omg", "-w", "ws")
+    s.both("verify", "--tier", "admission", "-i", "omg", "-w", "ws")
     s.both("prove", "--seconds", 0, "-w", "ws")
     s.both("prove", "--states", 1, "/talker", "nobody", "-w", "ws")
     s.both("prove", "--distro", "foxy", "-w", "ws")
@@ -334,7 +341,7 @@ _FORMS = {
     "domains": (sros2_keystore.Form(now=_MADE.now, domain=5, governance_domain=0), ()),
     "expired": (sros2_keystore.Form(now=datetime(2010, 1, 1, tzinfo=UTC)), ()),
     "no-graph": (sros2_keystore.Form(now=_MADE.now, graph=False), ("--no-implicit",)),
-    "names": (sros2_keystore.Form(now=_MADE.now, common_names={"/talker": "/camera"}), ("--accept",)),
+    "names": (sros2_keystore.Form(now=_MADE.now, common_names={"/talker": "/camera"}), ("--as-written",)),
 }
 _REPLACED = {
     "staged-identity": ("identity_ca", (), ("end",)),

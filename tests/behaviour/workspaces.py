@@ -24,7 +24,7 @@ def models(s: Steps, ws: str) -> list[str]:
     install = s.folder / ws / "install"
     dds = ("omg", "cyclonedds-0.10", "fastdds-3.3") if any(install.rglob("permissions.p7s")) else ()
     zenoh = ("zenoh-1",) if (install / "zenoh").exists() else ()
-    return [word for name in (*dds, *zenoh) or ("omg",) for word in ("-t", name)]
+    return [word for name in (*dds, *zenoh) or ("omg",) for word in ("-i", name)]
 
 
 def read_all(s: Steps, ws: str, *, days: int = 0) -> None:
@@ -100,7 +100,7 @@ _OPTIONS: Mapping[str, tuple[str, ...]] = {
     "unknown-option": ("--no-prov",),
     "spaces": ("--install-space", "elsewhere/i", "--private-space", "secret", "--build-space", "b", "--src-space", "s"),
     "hints": ("--hints", "policy.xml"),
-    "accepted": ("--accept-package", "nav"),
+    "accepted": ("--trust-package", "nav"),
 }
 
 
@@ -207,7 +207,7 @@ def _narrower(words: tuple[str, ...], s: Steps) -> None:
     s.write("policy.xml", POLICY)
     s.run("provision", "policy.xml", "-w", "ws", *words, days=1)
     read_all(s, "ws", days=2)
-    s.run("issued", "--accept", "talker", "-w", "ws", days=2)
+    s.run("issued", "--tolerate", "talker", "-w", "ws", days=2)
     s.both("check", "-w", "ws", days=2)
     s.run("install", "--revoke-superseded", "-w", "ws", "--json", days=3)
     s.both("prove", "-w", "ws", days=3)

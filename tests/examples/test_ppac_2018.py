@@ -34,7 +34,7 @@ WITHOUT_ERROR = Figures(18, 0, 0, 34)
 def verified(keymint, policy: str, distro: str, transports: tuple[str, ...], graph: Path = GRAPH):
     """Provision the policy and verify it; return figures and findings by transport, and the exit code."""
     assert keymint("provision", EXAMPLE / policy, "-w", distro, "--distro", distro).code == 0
-    chosen = [word for name in transports for word in ("-t", name)]
+    chosen = [word for name in transports for word in ("-i", name)]
     outcome = keymint("verify", "-w", distro, "--graph", graph, *chosen, "--json")
     result = outcome.document["result"]
     assert result["edges"] == 52

@@ -86,7 +86,7 @@ def permitting(keymint: Callable[..., Outcome], tmp_path: Path) -> Callable[...,
             path.write_text(re.sub(r"(</validity>)", rf"\1{rule}", plain[subject]))
         outcome = keymint("install", "--no-prove", "-w", "ws")
         assert outcome.code == 0, outcome.err
-        return keymint("verify", "-w", "ws", "-t", transport, "--json", "--limit", "10000")
+        return keymint("verify", "-w", "ws", "-i", transport, "--json", "--limit", "10000")
 
     return run
 

@@ -99,7 +99,7 @@ def robot(tmp_path: Path, softhsm: SoftHsm) -> Path:
     document.write_text(document.read_text().replace("<identity/>", identity(uri)))
     keymint(ws, "build", fails="only Fast DDS reads key.p11")
     manifest = ws / "profile/keymint_profile.xml"
-    manifest.write_text(manifest.read_text().replace("</profile>", "<accept><token_keys/></accept></profile>"))
+    manifest.write_text(manifest.read_text().replace("</profile>", "<exceptions><token_keys/></exceptions></profile>"))
     keymint(ws, "build")
     assert "no certificate is issued" in keymint(ws, "install")
     assert not (ws / "install/enclaves/talker/key.p11").exists()

@@ -33,7 +33,7 @@ def verified(keymint, *arguments: str) -> dict[str, dict]:
 @pytest.mark.parametrize("example", EXAMPLES)
 def test_examples_have_no_mismatches(keymint, example: str) -> None:
     assert keymint("provision", CHECKOUT / "examples" / example, "-w", "ws", "--transport", "zenoh").code == 0
-    found = verified(keymint, "-t", "zenoh-1", "-t", "zenoh")
+    found = verified(keymint, "-i", "zenoh-1", "-i", "zenoh")
     for transport in found.values():
         counts = transport["confusion"]
         assert counts["false_positive"] == counts["false_negative"] == 0
@@ -44,7 +44,7 @@ def test_examples_have_no_mismatches(keymint, example: str) -> None:
 def test_data_is_exchanged_as_the_policy_says(keymint) -> None:
     policy = CHECKOUT / "examples/add_two_ints"
     assert keymint("provision", policy, "-w", "ws", "--transport", "zenoh").code == 0
-    counts = verified(keymint, "-t", "zenoh", "--tier", "exchange")["zenoh"]["confusion"]
+    counts = verified(keymint, "-i", "zenoh", "--tier", "exchange")["zenoh"]["confusion"]
     assert counts["false_positive"] == counts["false_negative"] == 0
     assert counts["true_positive"] > 15
 
@@ -57,7 +57,7 @@ def test_one_workspace_for_dds_and_zenoh_is_as_its_policy_on_all_of_them(
     """The certificates of nodes are for clients only."""
     example, rights = ("fleet", 200) if FULL else ("action", 30)
     assert keymint("provision", CHECKOUT / "examples" / example, "-w", "ws", *BOTH).code == 0
-    found = verified(keymint, "-t", "zenoh-1", "-t", "zenoh", "-t", "cyclonedds", "-t", "fastdds")
+    found = verified(keymint, "-i", "zenoh-1", "-i", "zenoh", "-i", "cyclonedds", "-i", "fastdds")
     assert set(found) == {"zenoh-1", "zenoh", "cyclonedds", "fastdds"}
     for transport in found.values():
         counts = transport["confusion"]
@@ -74,7 +74,7 @@ def test_an_edit_of_the_routers_file_is_reported_with_its_place(keymint, tmp_pat
     assert wider != router.read_text()
     router.write_text(wider)
     finding = next(
-        each for each in verified(keymint, "-t", transport)[transport]["findings"]
+        each for each in verified(keymint, "-i", transport)[transport]["findings"]
         if each["request"] == "/talker ros_publish /chatterx"
     )  # fmt: skip
     assert finding["error"] == "false-positive"
@@ -87,7 +87,7 @@ def test_a_certificate_in_the_place_of_another_is_reported(keymint, tmp_path: Pa
     enclaves = tmp_path / "ws/install/enclaves"
     for name in ("cert.pem", "key.pem"):
         (enclaves / "talker" / name).write_bytes((enclaves / "listener" / name).read_bytes())
-    findings = verified(keymint, "-t", "zenoh")["zenoh"]["findings"]
+    findings = verified(keymint, "-i", "zenoh")["zenoh"]["findings"]
     wrong = {(each["request"], each["error"]) for each in findings}
     assert ("/talker ros_publish /chatter", "false-negative") in wrong
     assert ("/talker ros_subscribe /chatter", "false-positive") in wrong

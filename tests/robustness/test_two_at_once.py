@@ -70,7 +70,7 @@ def test_two_runs_that_create_the_workspace_both_succeed(folder: Path, keymint: 
     require_clean(folder, keymint)
 
 
-READERS = (["check", "-q"], ["status"], ["prove"], ["verify", "-t", "omg"], ["install", "--dry-run"])
+READERS = (["check", "-q"], ["status"], ["prove"], ["verify", "-i", "omg"], ["install", "--dry-run"])
 
 
 @pytest.mark.parametrize("verb", READERS, ids=lambda verb: verb[0])

@@ -32,7 +32,7 @@ def test_nodes_may_do_what_test_and_verify_say(ros: RosSystem, counts: Counter[s
     (ros.folder / "graph.json").write_text(json.dumps(graph(answers)))
     by_model = json.loads(
         ros.keymint(
-            "verify", "-w", ros.folder / "ws", "-t", "omg", "-t", "cyclonedds-0.10", "-t", "fastdds-2.9", "--graph",
+            "verify", "-w", ros.folder / "ws", "-i", "omg", "-i", "cyclonedds-0.10", "-i", "fastdds-2.9", "--graph",
             ros.folder / "graph.json", "--json",
         )
     )  # fmt: skip

@@ -19,7 +19,7 @@ from keymint.api.graph import MISMATCHES, Edge, EdgeOutcome, Graph
 from keymint.api.graph_json import load
 from keymint.command_line.named_files import made_of, read_input, source_files, write_outputs
 from keymint.command_line.named_policies import workspace_library_rules
-from keymint.command_line.options import Names, names_group, transport_option, vendors_of_option
+from keymint.command_line.options import Names, implementation_option, names_group, vendors_of_option
 from keymint.command_line.verb import FILE, Report, Run, findings_if, flag, option, path_option, verb
 from keymint.drawing.captions import left_out_json
 from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph, policy_label, select_edges
@@ -60,7 +60,7 @@ Edges that a rule denies are all drawn."""
 _UNSAFE = lazy_regex(r"[^A-Za-z0-9._-]+")
 
 
-@verb(processes=True)
+@verb(processes=True, former={"chosen": "-t --transport"})
 def verify(
     run: Run,
     names: Names = names_group(),
@@ -69,7 +69,7 @@ def verify(
         "and names that probe its patterns].",
         "-g",
     ),
-    chosen: tuple[str, ...] = transport_option,
+    chosen: tuple[str, ...] = implementation_option,
     distro: str | None = vendors_of_option,
     tier: str = option(
         type=click.Choice([str(tier) for tier in Tier]),
@@ -82,7 +82,7 @@ def verify(
         "network of its own that has nothing but loopback."
     ),
     limit: int = option(
-        type=click.IntRange(0), default=1000, show_default=True, help="Mismatches to list per transport."
+        type=click.IntRange(0), default=1000, show_default=True, help="Mismatches to list per implementation."
     ),
     sarif: Path | None = option(type=FILE, metavar="FILE", help="Write the mismatches as SARIF 2.1.0."),
     junit: Path | None = option(type=FILE, metavar="FILE", help="Write the results as JUnit XML."),

@@ -42,13 +42,13 @@ _FOLDER = "comarmor.d"
 """Folder of a new profile that has the policy."""
 
 
-@verb(dry_run=True)
+@verb(dry_run=True, former={"as_written": "--accept"})
 def adopt(
     run: Run,
     keystore: Path = argument(type=PATH),
     policy: Path | None = argument(type=PATH, required=False),
     applied: bool = flag("Write the workspace; without it nothing is written.", "--apply"),
-    accept: bool = flag("Take POLICY as it reads where the other tool enforces something else."),
+    as_written: bool = flag("Take POLICY as it reads where the other tool enforces something else."),
     implicit: bool = option(
         "--implicit/--no-implicit",
         default=True,
@@ -82,7 +82,7 @@ def adopt(
     comparisons: tuple[Compared, ...] = ()
     effort = ProofEffort(run.setting.monotonic, _STATES)
     if policy is not None:
-        own = _named_policy(run, policy, workspace, options, found, accept=accept, implicit=implicit)
+        own = _named_policy(run, policy, workspace, options, found, as_written=as_written, implicit=implicit)
         comparisons = document_comparisons(reader, found, own.rules, target, effort)
     different = [each for each in (policy_finding(one) for one in comparisons) if each]
     rules = of_documents(reader, files, found.enclaves, target)
@@ -165,7 +165,7 @@ def _left(found: FoundKeystore, keystore: str, workspace: Workspace) -> Iterator
 
 def _named_policy(
     run: Run, path: Path, workspace: Workspace, options: PolicyOptions, keystore: FoundKeystore,
-    *, accept: bool, implicit: bool,
+    *, as_written: bool, implicit: bool,
 ) -> AdoptedPolicy:  # fmt: skip
     """Return the policy that the user names: that of another tool is translated into the new profile.
 
@@ -175,7 +175,7 @@ def _named_policy(
         workspace: the new workspace.
         options: how to read it.
         keystore: what the keystore has.
-        accept: take a policy of another tool as it reads where that tool enforces something else.
+        as_written: take a policy of another tool as it reads where that tool enforces something else.
         implicit: a policy of another tool has the rules that this tool adds by itself.
 
     Raises:
@@ -187,7 +187,7 @@ def _named_policy(
     if foreign and foreign.imported:
         name = f"{_FOLDER}/{path.name.removesuffix('.xml').removesuffix('.policy')}.xml"
         file, shown = str(workspace.profile / name), workspace.profile / _FOLDER
-        request = ImportRequest(place, file, library, accept, implicit, shown)
+        request = ImportRequest(place, file, library, as_written, implicit, shown)
         imported = run.plugins.policy_type(foreign.policy_type).translated(request)
         rules = {each.rules.subject: each.rules for each in imported.subjects}
         return AdoptedPolicy(_FOLDER, {name: imported.document}, rules, tuple(rules), imported.diagnostics)

@@ -30,7 +30,7 @@ from keymint.stages.proof.proof_results import ProofEffort, in_words
 from keymint.workspace.policy_loading import foreign_policy
 
 
-@verb(workspace=False, dry_run=True, name="import")
+@verb(workspace=False, dry_run=True, name="import", former={"as_written": "--accept"})
 def import_policy(
     run: Run,
     policy: Path = argument(type=FILE),
@@ -41,7 +41,7 @@ def import_policy(
         default="comarmor.d",
         show_default=True,
     ),
-    accept: bool = flag("Take the policy as it reads where the other tool enforces something else."),
+    as_written: bool = flag("Take the policy as it reads where the other tool enforces something else."),
     implicit: bool = option(
         "--implicit/--no-implicit",
         default=True,
@@ -60,7 +60,7 @@ def import_policy(
 
     There is one profile for each enclave of POLICY, with its comments. What cannot be expressed is an error with its
     line, and so is what the other tool enforces differently from what POLICY says: change POLICY, or take it as it
-    reads with --accept, which warns of each change.
+    reads with --as-written, which warns of each change.
 
     Nothing is written unless, for every name, what is compiled from the new policy permits what the other tool's
     documents permit, as the transport's standard reads them; what vendors read otherwise is noted.
@@ -69,7 +69,7 @@ def import_policy(
     library = policies.shipped()  # an unknown distribution is wrong usage, whatever the file is
     importer = _importer(run, policy)
     file = output / f"{policy.name.removesuffix('.xml').removesuffix('.policy')}.xml"
-    request = ImportRequest(run.setting.cwd / policy, str(file), library, accept, implicit)
+    request = ImportRequest(run.setting.cwd / policy, str(file), library, as_written, implicit)
     imported = importer.translated(request)
     proofs = proofs_of(run, importer, imported, policies.distro)
     _refuse_other_library(run, output, request.library, imported.document)

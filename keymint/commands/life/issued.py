@@ -22,13 +22,13 @@ from keymint.workspace.session import Session
 STAGE = "register"
 
 
-@verb(dry_run=True, name="issued")
+@verb(dry_run=True, name="issued", former={"tolerate": "--accept"})
 def issued_certificates(
     run: Run,
     names: Names = names_group(),
     revoked: bool = flag("Only certificates that were revoked."),
-    accept: bool = flag(
-        "Accept that holders may present documents of NAME that were signed before and permit more than the policy, "
+    tolerate: bool = flag(
+        "Tolerate that holders may present documents of NAME that were signed before and permit more than the policy, "
         "until these end: 'check', 'prove' and 'status' mention them no more."
     ),
 ) -> Report:
@@ -37,7 +37,7 @@ def issued_certificates(
     NAME is a package [all], also one whose sources are gone. --json has the fingerprints of the keys as well.
     """
     selection = names.selection(run)
-    if accept:
+    if tolerate:
         return run.change(partial(_accepted, selection if names else None))
     session = run.session()
     register = complete_register(session)
@@ -84,10 +84,12 @@ def _accepted(selection: Selection | None, session: Session) -> Plan:
     known = {each.name for each in register.rights}
     chosen = selection.packages(session, known.union(session.packages()), known) if selection else ()
     if missing := [name for name in chosen if name not in known] or not chosen:
-        who = f"of {subject_of(missing[0])} is known" if isinstance(missing, list) else "is accepted unless you name it"
+        who = (
+            f"of {subject_of(missing[0])} is known" if isinstance(missing, list) else "is tolerated unless you name it"
+        )
         raise KeymintError(f"no document {who}", help="'keymint check' names the packages", code="package-unknown")
     writes = register_change(session, register.with_accepted(chosen, session.now))
     action = Action.UPDATED if writes else Action.UNCHANGED
-    detail = "earlier documents are accepted"
+    detail = "earlier documents are tolerated"
     steps = (Step(STAGE, name, action, writes if name == chosen[0] else (), detail) for name in chosen)
     return Plan(tuple(steps), session.state)

@@ -41,26 +41,26 @@ class AcceptanceOptions:
     """What the owner of a workspace accepts of the profiles that ROS packages ship.
 
     Attributes:
-        accept_package: packages whose profiles are accepted as they are now, each with the digest that it must have, or
+        trust_package: packages whose profiles are accepted as they are now, each with the digest that it must have, or
             an empty text.
         trust_links: symbolic links of these packages may lead out of them.
     """
 
-    accept_package: Mapping[str, str] = option(
+    trust_package: Mapping[str, str] = option(
         multiple=True,
         callback=_named,
         metavar="NAME[=SHA256]",
-        help="Accept the profiles that this ROS package ships, as they are now (docs/packages.md). May be repeated.",
+        help="Trust the profiles that this ROS package ships, as they are now (docs/packages.md). May be repeated.",
     )
     trust_links: bool = flag(
-        "Follow symbolic links out of the accepted packages, as 'colcon build --symlink-install' makes."
+        "Follow symbolic links out of the trusted packages, as 'colcon build --symlink-install' makes."
     )
 
 
 acceptance_options = option_group(AcceptanceOptions)
 
 
-@verb(jobs=True, dry_run=True)
+@verb(jobs=True, dry_run=True, former={"trust_package": "--accept-package"})
 def create(
     run: Run,
     names: Names = names_group(state=False),
@@ -76,9 +76,9 @@ def create(
     NAME is a subject, e.g. /robot1/talker. Any subject that a profile applies to is allowed, even if the policy
     names it only by a wildcard. Manual edits of other documents are preserved.
 
-    With --accept-package and without NAME and --all it only records what was accepted.
+    With --trust-package and without NAME and --all it only records what was accepted.
     """
-    if not names and not all_subjects and not acceptance.accept_package:
+    if not names and not all_subjects and not acceptance.trust_package:
         raise usage_error("no subject is named", "name some, or use --all")
     run.workspace()
     selection = names.selection(run)
@@ -107,8 +107,8 @@ def accept(work: Work, options: AcceptanceOptions) -> Work:
     Raises:
         KeymintError: the policy includes nothing of a package, or has defects, or links are to be followed in none.
     """
-    if options.accept_package:
-        return work.then(plan_acceptance(work.session, options.accept_package, trust_links=options.trust_links))
+    if options.trust_package:
+        return work.then(plan_acceptance(work.session, options.trust_package, trust_links=options.trust_links))
     if options.trust_links:
-        raise usage_error("--trust-links needs --accept-package", "name the package whose links are to be followed")
+        raise usage_error("--trust-links needs --trust-package", "name the package whose links are to be followed")
     return work

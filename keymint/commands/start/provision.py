@@ -44,7 +44,7 @@ _MOST = 20
 _SHOWN = frozenset({"node-cannot-start", "parameter-client-cannot-start", "authority-key-missing"})
 
 
-@verb(jobs=True, dry_run=True, yes=True)
+@verb(jobs=True, dry_run=True, yes=True, former={"trust_package": "--accept-package"})
 @former_renew_option
 def provision(
     run: Run,

@@ -29,12 +29,12 @@ _UNKNOWN = Diagnostic.warning(
 FORMATS = ("text", "markdown", "json")
 
 
-@verb(workspace=False)
+@verb(workspace=False, former={"kind": "-f"})
 def diff(
     run: Run,
     old: str = argument(metavar="A"),
     new: str = argument(metavar="B"),
-    kind: str = option("-f", "--format", type=click.Choice(FORMATS), default="text", show_default=True),
+    kind: str = option("--format", type=click.Choice(FORMATS), default="text", show_default=True),
     budget: int = option(
         default=STATES,
         show_default=True,

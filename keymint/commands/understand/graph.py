@@ -50,13 +50,13 @@ from keymint.workspace.session import Session
 FORMATS = ("svg", "png", "dot", "html")
 
 
-@verb(dry_run=True)
+@verb(dry_run=True, former={"kind": "-f"})
 def graph(
     run: Run,
     source: Path | None = argument(metavar="[POLICY|GRAPH]", required=False, type=PATH),
     output: Path | None = path_option("Write to this file; its suffix selects the format.", "-o"),
     kind: str | None = option(
-        "-f", "--format", type=click.Choice(FORMATS), help="Format [from the suffix of FILE, else svg]."
+        "--format", type=click.Choice(FORMATS), help="Format [from the suffix of FILE, else svg]."
     ),
     policy: Path | None = option(type=PATH, metavar="PATH", help="Label the edges of GRAPH by this policy."),
     everything: bool = flag("Draw every possible edge, also those that no rule allows.", "--all"),

@@ -11,9 +11,9 @@ from typing import Any
 
 from comarmor.errors import Diagnostic
 from comarmor.patterns.decision_lists import Equal
-from comarmor.patterns.glob import Glob, parse
+from comarmor.patterns.glob import Glob, matches, parse
 from comarmor.patterns.tokens import PatternError
-from comarmor.rules import PERMISSIONS
+from comarmor.rules import PERMISSIONS, Effect
 from comarmor.text import did_you_mean, nearest_word, quantity
 from comarmor.values import dataclass
 from keymint.analysis.channels import Channel, ChannelSearch
@@ -190,15 +190,19 @@ def _doubts(policy: LoadedPolicy, question: _Question, verdict: str, *, typed: b
 def _unwritten(policy: LoadedPolicy, kind: str, name: str) -> Iterator[Diagnostic]:
     """Yield a warning about a name that no rule has, if a rule has a similar one, or has it for another kind."""
     kinds: dict[str, set[str]] = defaultdict(set)
+    denied: set[str] = set()
     for _, rules in with_distinct_rules((each, rules_of(policy, each)) for each in policy.subjects()):
         for rule in rules:
             kinds[rule.kind].update(rule.expressions)
+            denied.update(rule.expressions if rule.effect is Effect.DENY else ())
+    if name in kinds[kind] or any(matches(parse(each), name) for each in denied):
+        return
     other = next((each for each in PERMISSIONS if name in kinds[each]), "")
     near = nearest_word(name, kinds[kind], 0.8)
-    if other and name not in kinds[kind]:
+    if other:
         help_ = f"its permissions are {' and '.join(PERMISSIONS[other])}"
         yield Diagnostic.warning("query-object", f"in the policy, {name!r} is the name of a {other}", help=help_)
-    elif near and name not in kinds[kind]:
+    elif near:
         yield Diagnostic.warning("query-object", f"no rule is about {name!r}", help=f"did you mean {near!r}?")
 
 

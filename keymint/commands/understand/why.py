@@ -13,7 +13,7 @@ import click
 from comarmor.errors import Diagnostic
 from keymint.api import DomainRange, Endpoint, Tier
 from keymint.api.graph import LABELLED
-from keymint.command_line.options import kind_option, raw_topic_doubt, transport_option
+from keymint.command_line.options import implementation_option, kind_option, raw_topic_doubt
 from keymint.command_line.verb import Report, Run, argument, findings_if, option, verb
 from keymint.names import name_of
 from keymint.output.json import Typed, decision_json, edge_json, place_json, verdict_json
@@ -34,7 +34,7 @@ from keymint.workspace.policy_loading import load_policy
 _PERMISSIONS = [permission for permissions in LABELLED.values() for permission in permissions]
 
 
-@verb()
+@verb(former={"chosen": "-t --transport"})
 def why(
     run: Run,
     subject: str = argument(),
@@ -47,7 +47,7 @@ def why(
     domain: int | None = option(
         type=click.IntRange(0, 232), metavar="N", help="Domain id [the first one of the grant]."
     ),
-    chosen: tuple[str, ...] = transport_option,
+    chosen: tuple[str, ...] = implementation_option,
 ) -> Report:
     """Explain why SUBJECT has, or lacks, PERMISSION on OBJECT: policy, package, transport names, document, transports.
 

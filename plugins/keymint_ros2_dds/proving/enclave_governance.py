@@ -151,7 +151,7 @@ _CLAIMED = {
     ),
 }
 """What the claims about domains cover, and what the policy expects."""
-ACCEPT = "or accept it with <accept><open_governance/></accept> in profile/keymint_profile.xml"
+ACCEPT = "or accept it with <exceptions><open_governance/></exceptions> in profile/keymint_profile.xml"
 _QUALITIES = {
     "true": {"protected"},
     "1": {"protected"},

@@ -127,13 +127,13 @@ def refuse_unusable_key(enclave: InstalledEnclave) -> None:
     if (enclave.folder / layout.KEY_URI).is_file():
         raise KeymintError(
             f"the private key of {enclave.subject} lies in a token of its robot, so no participant can be started here",
-            help="use transports that need no key: -t omg -t fastdds-2.9",
+            help="ask implementations that need no key: -i omg -i fastdds-2.9",
             code="key-in-token",
         )
     if (enclave.folder / layout.KEY).is_file() and b"ENCRYPTED" in installed_file(enclave.folder / layout.KEY):
         raise KeymintError(
             f"the private key of {enclave.subject} is encrypted, and participants cannot be given the password",
-            help="use transports that need no key: -t omg -t cyclonedds-0.10 -t fastdds-2.9",
+            help="ask implementations that need no key: -i omg -i cyclonedds-0.10 -i fastdds-2.9",
             code="key-encrypted",
         )
 

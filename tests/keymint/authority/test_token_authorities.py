@@ -280,7 +280,7 @@ def test_a_robot_that_made_no_request_yet_keeps_nobody_waiting(keymint, policy: 
     assert keymint("init", "ws", "--policy", policy).code == 0
     assert keymint("create", "--all", cwd=ws).code == 0
     manifest, identities = ws / "profile/keymint_profile.xml", ws / "src/talker/identities.xml"
-    manifest.write_text(manifest.read_text().replace("</profile>", "<accept><token_keys/></accept></profile>"))
+    manifest.write_text(manifest.read_text().replace("</profile>", "<exceptions><token_keys/></exceptions></profile>"))
     named = f"<identity><key>{uri('pkcs11:token=robot;object=talker')}</key></identity>"
     identities.write_text(identities.read_text().replace("<identity/>", named))
     for _ in range(2):

@@ -12,7 +12,7 @@ import pytest
 from keymint.pki import certificates, keys, smime
 
 WRITE = "enable_write_access_control"
-ACCEPT = "<accept><open_governance/></accept>"
+ACCEPT = "<exceptions><open_governance/></exceptions>"
 
 
 def open_sources(workspace: Path, tag: str = WRITE, value: str = "false") -> int:
@@ -147,7 +147,7 @@ def test_what_is_signed_by_hand_is_found_whatever_the_record_says(
 
 def test_an_unknown_acceptance_is_an_error(keymint: Callable, provisioned: Path) -> None:
     file = provisioned / "profile/keymint_profile.xml"
-    file.write_text(file.read_text().replace("</profile>", "<accept><everything/></accept></profile>"))
+    file.write_text(file.read_text().replace("</profile>", "<exceptions><everything/></exceptions></profile>"))
     outcome = keymint("build", "-w", provisioned)
     assert outcome.code == 1
     assert "everything" in outcome.err

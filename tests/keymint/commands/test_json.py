@@ -47,8 +47,8 @@ CALLS = {
     "learn": ["learn", "graph.json"],
     "export": ["export", "policy.xml", "--format", "sros2"],
     "import": ["import", "foreign.xml", "-o", "imported"],
-    "verify": ["verify", "-w", "ws", "-t", "omg"],
-    "why": ["why", "/talker", "ros_publish", "/chatter", "-w", "ws", "-t", "omg"],
+    "verify": ["verify", "-w", "ws", "-i", "omg"],
+    "why": ["why", "/talker", "ros_publish", "/chatter", "-w", "ws", "-i", "omg"],
     "lint": ["lint", "policy.xml"],
     "diff": ["diff", "policy.xml", "policy.xml"],
     "query": ["query", "policy.xml", "who", "can", "publish", "/chatter"],
@@ -118,7 +118,7 @@ def both(keymint, policy: Path, tmp_path: Path) -> Path:
     return tmp_path / "ws"
 
 
-MODELS = ("-t", "omg", "-t", "zenoh-1")
+MODELS = ("-i", "omg", "-i", "zenoh-1")
 
 
 def test_of_every_verb_in_a_workspace_with_two_transports(keymint, both: Path) -> None:

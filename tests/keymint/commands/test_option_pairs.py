@@ -115,7 +115,7 @@ def open_topic(ws: Workspace) -> None:
 
 def accepted_open_topic(ws: Workspace) -> None:
     open_topic(ws)
-    ws.edit("profile/keymint_profile.xml", "</profile>", "<accept><open_governance/></accept></profile>")
+    ws.edit("profile/keymint_profile.xml", "</profile>", "<exceptions><open_governance/></exceptions></profile>")
 
 
 def vendor_specific(ws: Workspace) -> None:

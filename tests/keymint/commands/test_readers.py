@@ -32,9 +32,9 @@ READERS = (
     ["check", "robot/talker"],
     ["status"],
     ["prove"],
-    ["verify", "-t", "omg", "-t", "fastdds-2.9"],
-    ["why", "/robot/talker", "ros_publish", "/chatter", "-t", "omg"],
-    ["why", "/robot/talker", "ros_subscribe", "/chatter", "-t", "omg"],
+    ["verify", "-i", "omg", "-i", "fastdds-2.9"],
+    ["why", "/robot/talker", "ros_publish", "/chatter", "-i", "omg"],
+    ["why", "/robot/talker", "ros_subscribe", "/chatter", "-i", "omg"],
     ["install", "--dry-run"],
 )
 
@@ -214,7 +214,7 @@ def test_transports_read_copies_that_go_at_the_end_and_private_keys_only_where_t
         return real(*arguments)
 
     monkeypatch.setattr(TransportComparison, "all_endpoints", watched)
-    assert keymint("verify", "-w", workspace, "-t", "omg").code == 0
+    assert keymint("verify", "-w", workspace, "-i", "omg").code == 0
     assert {path.name for path in seen} >= {"permissions.p7s", "cert.pem"}
     assert "key.pem" not in {path.name for path in seen}
     assert list((tmp_path / "tmp").iterdir()) == []

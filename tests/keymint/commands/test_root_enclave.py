@@ -121,9 +121,9 @@ def test_the_names_of_its_nodes_may_stand_in_a_tunable(keymint, tmp_path: Path) 
 
 
 def test_what_is_asked_about_it(keymint, ws: Path, tmp_path: Path) -> None:
-    verified = keymint("verify", "/", "-w", ws, "-t", "omg", "-t", "cyclonedds-0.10", "-t", "fastdds-2.9", "--json")
+    verified = keymint("verify", "/", "-w", ws, "-i", "omg", "-i", "cyclonedds-0.10", "-i", "fastdds-2.9", "--json")
     assert (verified.code, verified.codes()) == (0, [])
-    why = keymint("why", "/", "ros_publish", "/chatter", "-t", "cyclonedds-0.10", "-w", ws)
+    why = keymint("why", "/", "ros_publish", "/chatter", "-i", "cyclonedds-0.10", "-w", ws)
     assert why.code == 0
     assert "allowed by cyclonedds-0.10" in why.out
     assert "/ ros_subscribe /chatter" in keymint("query", "p.xml", "who", "can", "subscribe", "/chatter").out
@@ -271,7 +271,7 @@ def test_with_zenoh(keymint, tmp_path: Path) -> None:
     both = tmp_path / "both"
     assert names(both / "install/enclaves") == {*OWN, *SHARED, "session.json5"}
     assert is_sound(keymint, both)
-    assert keymint("verify", "/", "-w", both, "-t", "zenoh-1").code == 0
+    assert keymint("verify", "/", "-w", both, "-i", "zenoh-1").code == 0
 
 
 def test_a_keystore_with_a_common_name_alone_is_adopted_unchanged(keymint, tmp_path: Path) -> None:

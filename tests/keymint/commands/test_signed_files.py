@@ -15,8 +15,8 @@ from tests.signers import HAVE_OPENSSL, SIGNERS, Sign, by_openssl
 
 pytestmark = pytest.mark.skipif(not HAVE_OPENSSL, reason="openssl is not installed: apt-get install openssl")
 FOREIGN = ["openssl-smime", "openssl-smime-crlf", "openssl-smime-sha512", "openssl-cms", "sros2"]
-ASKED = ("-t", "omg", "-t", "cyclonedds-0.10", "-t", "fastdds-2.9")
-REQUEST = ("why", "/talker", "ros_publish", "/chatter", "-t", "omg")
+ASKED = ("-i", "omg", "-i", "cyclonedds-0.10", "-i", "fastdds-2.9")
+REQUEST = ("why", "/talker", "ros_publish", "/chatter", "-i", "omg")
 
 
 def enclave(workspace: Path) -> Path:

@@ -13,8 +13,8 @@ from lxml import etree
 from keymint.api import plugin_loader
 from tests.keymint import board
 
-DDS = ("-t", "omg")
-BOTH = ("-t", "omg", "-t", "board-1")
+DDS = ("-i", "omg")
+BOTH = ("-i", "omg", "-i", "board-1")
 RIGHTS = "install/board/rights.txt"
 
 
@@ -50,14 +50,14 @@ def test_every_transport_is_asked_about_the_enclaves_and_kinds_of_its_build_type
     assert list(found) == ["omg", "board-1"]
     counts = {name: sum(each["confusion"].values()) for name, each in found.items()}
     alone = {
-        name: sum(by_name(keymint("verify", "-w", two, "-t", name, "--json").document)[name]["confusion"].values())
+        name: sum(by_name(keymint("verify", "-w", two, "-i", name, "--json").document)[name]["confusion"].values())
         for name in found
     }
     assert counts == alone
     assert 0 < counts["board-1"] < counts["omg"]
     assert outcome.document["result"]["subjects"] == ["/robot1/listener", "/talker"]
     assert outcome.document["result"]["edges"] == sum(counts.values())
-    only = keymint("verify", "-w", two, "-t", "board-1", "--json").document["result"]
+    only = keymint("verify", "-w", two, "-i", "board-1", "--json").document["result"]
     assert only["subjects"] == ["/talker"]
 
 
@@ -71,20 +71,20 @@ def test_all_usable_transports_of_the_build_types_are_asked_without_a_choice(key
 
 def test_a_transport_that_no_package_is_built_for(keymint: Callable, two: Path) -> None:
     for verb in (("verify", "robot1/listener"), ("why", "/robot1/listener", "ros_subscribe", "/chatter")):
-        outcome = keymint(*verb, "-w", two, "-t", "board-1")
+        outcome = keymint(*verb, "-w", two, "-i", "board-1")
         assert outcome.code == 2
         assert (
             "the transport 'board-1' reads what board builds, but the build type here is keymint_ros2_dds"
             in outcome.err
         )
-        assert "-t omg" in outcome.err
+        assert "-i omg" in outcome.err
 
 
 def test_a_mismatch_names_the_place_in_the_shared_file_that_decides(keymint: Callable, two: Path) -> None:
     rights = (two / RIGHTS).read_text()
     (two / RIGHTS).write_text(rights + "/talker ALLOW ros_subscribe /chatter\n")
     line = len(rights.splitlines()) + 1
-    outcome = keymint("verify", "-w", two, *BOTH, "-t", "board", "--json", "--sarif", "out.sarif", "--junit", "out.xml")
+    outcome = keymint("verify", "-w", two, *BOTH, "-i", "board", "--json", "--sarif", "out.sarif", "--junit", "out.xml")
     assert outcome.code == 3
     (found,) = [each for each in outcome.document["diagnostics"] if each["code"] == "false-positive"]
     assert (found["file"], found["line"]) == (f"ws/{RIGHTS}", line)
@@ -101,7 +101,7 @@ def test_a_mismatch_names_the_place_in_the_shared_file_that_decides(keymint: Cal
 
 
 def test_a_real_transport_gets_keys_and_shared_files_in_the_same_places(keymint: Callable, two: Path) -> None:
-    outcome = keymint("verify", "-w", two, "-t", "board", "--tier", "admission", "--json")
+    outcome = keymint("verify", "-w", two, "-i", "board", "--tier", "admission", "--json")
     assert outcome.code == 0, outcome.err
     assert by_name(outcome.document)["board"]["confusion"]["true_positive"] > 0
 
@@ -204,7 +204,7 @@ def test_dds_and_zenoh_from_one_policy(keymint: Callable, policy: Path, tmp_path
     """Both decide as the policy does; when it changes, each mismatch is shown in the file that decides."""
     made = keymint("provision", policy, "-w", "ws", "--transport", "dds", "--transport", "zenoh", "--no-prove")
     assert made.code == 0, made.err
-    asked = ("-w", "ws", "-t", "omg", "-t", "zenoh-1", "--json")
+    asked = ("-w", "ws", "-i", "omg", "-i", "zenoh-1", "--json")
     found = keymint("verify", *asked)
     assert found.code == 0, found.err
     assert all(each["confusion"]["true_positive"] > 0 for each in by_name(found.document).values())
@@ -229,6 +229,6 @@ def test_dds_and_zenoh_from_one_policy(keymint: Callable, policy: Path, tmp_path
 def test_why_of_a_name_that_zenoh_cannot_have(keymint: Callable, policy: Path) -> None:
     made = keymint("provision", policy, "-w", "ws", "--transport", "zenoh", "--no-prove")
     assert made.code == 0, made.err
-    outcome = keymint("why", "/talker", "ros_publish", "/chatter//x", "-w", "ws", "-t", "zenoh-1")
+    outcome = keymint("why", "/talker", "ros_publish", "/chatter//x", "-w", "ws", "-i", "zenoh-1")
     assert outcome.code == 0, outcome.err
     assert "not asked: zenoh-1 (keymint_ros2_zenoh has no name for the ros_topic '/chatter//x')" in outcome.out

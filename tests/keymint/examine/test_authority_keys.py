@@ -80,7 +80,7 @@ class TestEncryption:
         refused = keymint("install", "--json", cwd=asked)
         assert (refused.code, set(refused.codes())) == (1, {"password-missing"})
         assert keymint("install", cwd=asked, env=PASSWORD).code == 0
-        for words in (("check",), ("prove",), ("status",), ("authority", "show"), ("verify", "-t", "omg")):
+        for words in (("check",), ("prove",), ("status",), ("authority", "show"), ("verify", "-i", "omg")):
             outcome = keymint(*words, "--json", cwd=asked)
             assert outcome.code == 0, (words, outcome.out)
         assert keymint("check", "--json", cwd=asked, env=PASSWORD).codes() == []

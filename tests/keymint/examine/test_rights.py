@@ -141,7 +141,7 @@ class TestEarlierRights:
         assert "/talker more than the policy, e.g. to subscribe 'rt/chatter'" in note["message"]
         assert "until 2028-01-14T00:00:00Z" in note["message"]
         assert "'keymint revoke talker --reason superseded'" in note["help"]
-        assert "'keymint issued talker --accept'" in note["help"]
+        assert "'keymint issued talker --tolerate'" in note["help"]
 
     def test_the_record_of_a_sound_keystore_hides_nothing(self, keymint, narrowed: Path) -> None:
         """A proof is bound to the bytes that it is about."""
@@ -157,15 +157,15 @@ class TestEarlierRights:
         assert outliving(keymint, narrowed) == QUIET
 
     def test_until_the_owner_accepts_them(self, keymint, narrowed: Path) -> None:
-        outcome = keymint("issued", "talker", "--accept", cwd=narrowed)
+        outcome = keymint("issued", "talker", "--tolerate", cwd=narrowed)
         assert (outcome.code, outcome.err) == (0, "")
         assert outcome.out.splitlines()[-1] == "1 updated"
         assert outliving(keymint, narrowed) == QUIET
-        again = keymint("issued", "talker", "--accept", cwd=narrowed)
+        again = keymint("issued", "talker", "--tolerate", cwd=narrowed)
         assert (again.code, again.out) == (0, "nothing to do: 1 package up to date\n")
 
     def test_an_acceptance_is_for_what_was_signed_before_it(self, keymint, narrowed: Path) -> None:
-        assert keymint("issued", "talker", "--accept", cwd=narrowed).code == 0
+        assert keymint("issued", "talker", "--tolerate", cwd=narrowed).code == 0
         policy = narrowed.parent / "policy.xml"
         without = policy.read_text()
         policy.write_text(without.replace(">/chatter<", ">/chatt*<"))
@@ -177,7 +177,7 @@ class TestEarlierRights:
 
     @pytest.mark.parametrize("names", [(), ("robot1/other",)])
     def test_an_acceptance_names_packages_with_documents(self, keymint, narrowed: Path, names) -> None:
-        outcome = keymint("issued", *names, "--accept", cwd=narrowed)
+        outcome = keymint("issued", *names, "--tolerate", cwd=narrowed)
         assert outcome.code == 1
         assert outcome.err.startswith("error: no document ")
         assert outliving(keymint, narrowed) == NOTED

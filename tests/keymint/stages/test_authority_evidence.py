@@ -28,8 +28,8 @@ def asked(keymint: Callable, ws: Path) -> dict[str, tuple[int, set[str]]]:
     """Return the exit code and the codes of the findings of each verb that rests on the authorities."""
     verbs = {
         "prove": ("prove",),
-        "verify": ("verify", "-t", "fastdds-2.9"),
-        "why": ("why", "/talker", "ros_publish", "/chatter", "-t", "fastdds-2.9"),
+        "verify": ("verify", "-i", "fastdds-2.9"),
+        "why": ("why", "/talker", "ros_publish", "/chatter", "-i", "fastdds-2.9"),
     }
     outcomes = {verb: keymint(*words, "--json", cwd=ws) for verb, words in verbs.items()}
     return {verb: (outcome.code, set(outcome.codes())) for verb, outcome in outcomes.items()}

@@ -37,7 +37,7 @@ def run(folder: Path, *arguments: object) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.parametrize("limit", [1, 1000])
 def test_any_number_of_processes_gives_the_same_mismatches(changed: Path, limit: int) -> None:
-    call = ("verify", "-w", "ws", "-t", "omg", "-t", "fastdds-2.9", "--json", "--limit", limit)
+    call = ("verify", "-w", "ws", "-i", "omg", "-i", "fastdds-2.9", "--json", "--limit", limit)
     alone, together = run(changed, *call, "-j", 1), run(changed, *call, "-j", 3)
     assert alone.returncode == 3
     assert (together.returncode, together.stdout, together.stderr) == (3, alone.stdout, alone.stderr)

@@ -23,7 +23,7 @@ def test_what_the_sources_open_is_a_warning_at_the_rule_and_a_note_where_the_pro
         ]  # fmt: skip
         assert str(said[1].where) == "governance.xml:31"
         assert "enable_write_access_control is false for '/diagnostics'" in said[1].message
-        assert ("<accept><open_governance/></accept>" in said[1].help) is not accepts
+        assert ("<exceptions><open_governance/></exceptions>" in said[1].help) is not accepts
 
 
 def test_what_the_policy_allows_everybody_in_every_partition_is_not_opened():

@@ -43,7 +43,7 @@ def test_the_policy_of_a_navigation_stack_fits(keymint: Callable, policy: Path, 
     assert abs(int(size.replace(",", "")) - len(signed)) < 200
     assert vendor_limits.TIGHT < len(signed) < vendor_limits.BROKEN
 
-    why = keymint("why", "/navigation", "ros_publish", "/cmd_vel_smoothed", "-w", "ws", "-t", "omg", "--json")
+    why = keymint("why", "/navigation", "ros_publish", "/cmd_vel_smoothed", "-w", "ws", "-i", "omg", "--json")
     (transport,) = why.document["result"]["transports"]
     line = content.splitlines()[transport["rule"]["line"] - 1]
     assert line == b"<publish>", "the criterion that decides, as in a document with blanks"

@@ -32,8 +32,8 @@ def fleet(keymint, tmp_path: Path) -> Iterator[sqlite3.Connection]:
 def test_the_documents_are_proven_and_come_from_the_rows(keymint, fleet: sqlite3.Connection) -> None:
     assert keymint("check", "-w", "ws").code == 0
     assert keymint("prove", "-w", "ws").code == 0
-    assert keymint("verify", "-w", "ws", "-t", "omg").code == 0
-    assert "(robot r1 [rules.db])" in keymint("why", "/r1", "ros_publish", "/r1/x", "-w", "ws", "-t", "omg").out
+    assert keymint("verify", "-w", "ws", "-i", "omg").code == 0
+    assert "(robot r1 [rules.db])" in keymint("why", "/r1", "ros_publish", "/r1/x", "-w", "ws", "-i", "omg").out
     assert keymint("provision", "rules.db", "-w", "ws").out.startswith("nothing to do")
 
 

@@ -54,7 +54,7 @@ def altered(workspace: Path, change: Callable[[Control], None]) -> None:
 
 def wrong(keymint: Callable, workspace: Path) -> list[Any]:
     """Return the requests on which the model differs from the policy."""
-    outcome = keymint("verify", "-w", workspace, "-t", "zenoh-1", "--json")
+    outcome = keymint("verify", "-w", workspace, "-i", "zenoh-1", "--json")
     [result] = outcome.document["result"]["transports"]
     return list(result["findings"])
 
@@ -153,6 +153,6 @@ def test_what_changes_no_decision_is_no_mismatch(keymint: Callable, workspace: P
 
 def test_a_file_that_cannot_be_read_is_no_source_of_questions(keymint: Callable, workspace: Path) -> None:
     (workspace / "install/zenoh/router.json5").write_text("{")
-    outcome = keymint("verify", "-w", workspace, "-t", "zenoh-1")
+    outcome = keymint("verify", "-w", workspace, "-i", "zenoh-1")
     assert outcome.code in (1, 3)
     assert "router.json5" in outcome.err

@@ -18,7 +18,7 @@ from tests.conftest import Outcome
 from tests.opened_governance import open_governance
 
 SIMULATED = ("omg", "cyclonedds-0.10", "fastdds-2.9")
-ASKED = [argument for name in SIMULATED for argument in ("-t", name)]
+ASKED = [argument for name in SIMULATED for argument in ("-i", name)]
 POLICY = """<profiles>
   <profile name="arm">
     <attachment>/cell/arm</attachment>
@@ -298,7 +298,7 @@ class TestReports:
         return tmp_path / "ws"
 
     def test_sarif(self, keymint, wrong: Path) -> None:
-        assert keymint("verify", "-t", "omg", "--sarif", "out.sarif", cwd=wrong).code == 3
+        assert keymint("verify", "-i", "omg", "--sarif", "out.sarif", cwd=wrong).code == 3
         log = json.loads((wrong / "out.sarif").read_text())
         (run,) = log["runs"]
         assert log["version"] == "2.1.0"
@@ -321,7 +321,7 @@ class TestReports:
             assert failed == {"/cell/arm"}
 
     def test_of_an_enclave_without_findings(self, keymint, cell: Path) -> None:
-        assert keymint("verify", "-t", "omg", "--sarif", "a", "--junit", "b", cwd=cell).code == 0
+        assert keymint("verify", "-i", "omg", "--sarif", "a", "--junit", "b", cwd=cell).code == 0
         assert json.loads((cell / "a").read_text())["runs"][0]["results"] == []
         assert ET.parse(cell / "b").getroot()[0].get("failures") == "0"
 
@@ -372,12 +372,12 @@ class TestGraph:
 
 class TestUsage:
     def test_an_unknown_transport(self, keymint, cell: Path) -> None:
-        outcome = keymint("verify", "-t", "omgg", cwd=cell)
+        outcome = keymint("verify", "-i", "omgg", cwd=cell)
         assert outcome.code == 2
         assert "did you mean 'omg'?" in outcome.err
 
     def test_a_tier_that_a_transport_has_not(self, keymint, cell: Path) -> None:
-        outcome = keymint("verify", "-t", "omg", "--tier", "exchange", cwd=cell)
+        outcome = keymint("verify", "-i", "omg", "--tier", "exchange", cwd=cell)
         assert outcome.code == 2
         assert "decision" in outcome.err
 

@@ -74,7 +74,7 @@ def test_a_finding_on_an_endpoint_follows_the_edges_of_the_graph() -> None:
 
 
 def test_the_report_of_a_workspace(keymint, provisioned: Path) -> None:
-    found = keymint("verify", "-t", "omg", "--report", "report", cwd=provisioned)
+    found = keymint("verify", "-i", "omg", "--report", "report", cwd=provisioned)
     assert found.code == 0, found.err
     folder = provisioned / "report"
     assert {path.name for path in folder.iterdir()} == {"index.html", "graph.svg", "graph-omg.svg", "differences.svg"}
@@ -84,7 +84,7 @@ def test_the_report_of_a_workspace(keymint, provisioned: Path) -> None:
 
 def test_a_finding_is_in_the_report(keymint, provisioned: Path, policy: Path) -> None:
     policy.write_text(policy.read_text().replace("<ros_subscribe/>", "<ros_publish/>"))
-    found = keymint("verify", "-t", "omg", "--report", "report", cwd=provisioned)
+    found = keymint("verify", "-i", "omg", "--report", "report", cwd=provisioned)
     assert found.code == 3
     text = (provisioned / "report/index.html").read_text()
     assert 'class="false-positive"' in text

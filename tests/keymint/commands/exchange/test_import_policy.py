@@ -96,7 +96,7 @@ def test_what_is_enforced_otherwise_takes_a_decision(keymint, foreign: Path, tmp
     refused = keymint("import", "robot.policy.xml", "--json")
     assert (refused.code, refused.codes()) == (1, ["sros2-two-profiles"])
     assert not (tmp_path / "comarmor.d").exists()
-    accepted = keymint("import", "robot.policy.xml", "--accept", "--json")
+    accepted = keymint("import", "robot.policy.xml", "--as-written", "--json")
     assert accepted.code == 0
     assert accepted.codes() == ["sros2-two-profiles", "import-changes", "node-cannot-start"]
     changes = accepted.document["diagnostics"][1]

@@ -57,7 +57,7 @@ def test_superseded(provisioned: Path, keymint) -> None:
     }  # fmt: skip
     assert "deploy and restart 1 enclave: /robot1/listener" in outcome.out
     for verb in ("check", "prove", "install", "verify"):
-        arguments = ("-t", "omg") if verb == "verify" else ()
+        arguments = ("-i", "omg") if verb == "verify" else ()
         assert keymint(verb, *arguments, cwd=provisioned).code == 0, verb
     subprocess.run(
         ["openssl", "verify", "-crl_check", "-attime", "1800000000", "-CAfile", "identity_ca.cert.pem",
@@ -75,7 +75,7 @@ def test_nothing_is_issued_for_a_key_that_was_given_up(provisioned: Path, keymin
     assert [each.serial_number for each in crl(provisioned / "install/enclaves/robot1/listener/crl.pem")] == [old]
     assert (provisioned / "private/identities/talker/key.pem").exists()
     before = snapshot(provisioned / "install")
-    for verb in (("build",), ("install",), ("check",), ("prove",), ("verify", "-t", "omg"), ("install", "talker")):
+    for verb in (("build",), ("install",), ("check",), ("prove",), ("verify", "-i", "omg"), ("install", "talker")):
         assert keymint(*verb, cwd=provisioned).code == 0, verb
     assert snapshot(provisioned / "install") == before
     rows = keymint("status", "--json", cwd=provisioned).document["result"]["packages"]
@@ -247,7 +247,7 @@ def test_an_enclave_whose_key_moves_into_a_token_is_removed_as_well(provisioned:
     identities, profile = provisioned / "src/talker/identities.xml", provisioned / "profile/keymint_profile.xml"
     key = "<key><pkcs11>pkcs11:token=robot;object=talker</pkcs11></key>"
     identities.write_text(identities.read_text().replace("<identity/>", f"<identity>{key}</identity>"))
-    accepted = "<accept><token_keys/></accept></profile>"
+    accepted = "<exceptions><token_keys/></exceptions></profile>"
     profile.write_text(profile.read_text().replace("</profile>", accepted))
     assert keymint("build", cwd=provisioned).code == 0
     assert keymint("revoke", "talker", "--reason", "key-compromise", cwd=provisioned).code == 0

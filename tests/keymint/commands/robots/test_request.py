@@ -177,7 +177,7 @@ def test_a_robot_whose_key_moves_into_a_token(keymint, ws: Path, tmp_path: Path,
     identities, manifest = ws / "src/talker/identities.xml", ws / "profile/keymint_profile.xml"
     named = f"<identity><key><pkcs11>{uri}</pkcs11></key></identity>"
     identities.write_text(identities.read_text().replace("<identity/>", named))
-    manifest.write_text(manifest.read_text().replace("</profile>", "<accept><token_keys/></accept></profile>"))
+    manifest.write_text(manifest.read_text().replace("</profile>", "<exceptions><token_keys/></exceptions></profile>"))
 
     def ask(*more: str):
         return keymint("request", "talker", "--folder", "robot", "--pkcs11", uri, "--json", *more, env=WITH_PIN)

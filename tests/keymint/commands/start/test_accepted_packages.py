@@ -21,7 +21,7 @@ from tests.keymint.commands.test_json import held
 from tests.keymint.commands.test_unchanged import settle
 from tests.ros_packages import HREF, PACKAGE, fragment, including, ship, topic
 
-ACCEPT = ("--accept-package", PACKAGE)
+ACCEPT = ("--trust-package", PACKAGE)
 
 
 @pytest.fixture
@@ -63,7 +63,7 @@ def test_the_first_use_needs_acceptance_and_shows_what_it_grants(keymint, ws: Pa
     assert outcome.err.startswith(
         f"policy.xml:2: error: what the package '{PACKAGE}' ships was not accepted yet: contr"
     )
-    assert f"repeat the command with --accept-package {PACKAGE}=" in outcome.err
+    assert f"repeat the command with --trust-package {PACKAGE}=" in outcome.err
     assert len(outcome.err.splitlines()) == 1
     assert snapshot(ws) == before
 
@@ -188,34 +188,34 @@ def test_one_package_is_accepted_at_a_time(keymint, ws: Path, shipped: Path, tmp
     assert "second" in outcome.err
     assert PACKAGE not in outcome.err
     assert not (ws / "profile/packages.lock.xml").exists()  # nothing is half done
-    assert keymint("create", "--all", "-w", "ws", *ACCEPT, "--accept-package", "second").code == 0
+    assert keymint("create", "--all", "-w", "ws", *ACCEPT, "--trust-package", "second").code == 0
 
 
 def test_exactly_what_was_shown_can_be_accepted(keymint, ws: Path, shipped: Path) -> None:
     """Nothing else is accepted if a package changes between the list and the decision."""
     refused = keymint("create", "--all", "-w", "ws")
-    (named,) = re.findall(r"--accept-package (\S+=[0-9a-f]{64});", refused.err)
+    (named,) = re.findall(r"--trust-package (\S+=[0-9a-f]{64});", refused.err)
     printed = subprocess.run(["sha256sum", shipped.name], cwd=shipped.parent, capture_output=True, check=True).stdout
     assert named == f"{PACKAGE}={hashlib.sha256(printed).hexdigest()}"
     content = shipped.read_text()
     shipped.write_text(fragment(topic("/*")))
-    outcome = keymint("create", "--all", "-w", "ws", "--accept-package", named)
+    outcome = keymint("create", "--all", "-w", "ws", "--trust-package", named)
     assert outcome.code == 1
     assert "ships something else than what is to be accepted" in outcome.err
     assert not (ws / "src").exists()
     shipped.write_text(content)
-    assert keymint("create", "--all", "-w", "ws", "--accept-package", named).code == 0
+    assert keymint("create", "--all", "-w", "ws", "--trust-package", named).code == 0
 
 
 @pytest.mark.parametrize("given", [["x=1"], ["x="], ["x=" + "A" * 64], ["x", "x=" + "a" * 64]])
 def test_what_is_no_digest(keymint, ws: Path, given: list[str]) -> None:
-    options = [word for each in given for word in ("--accept-package", each)]
+    options = [word for each in given for word in ("--trust-package", each)]
     assert keymint("create", "--all", "-w", "ws", *options).code == 2
 
 
 @pytest.mark.parametrize("name", ["nav2_bring_up", "../x", ""])
 def test_a_package_that_the_policy_does_not_include(keymint, ws: Path, name: str) -> None:
-    outcome = keymint("create", "--all", "-w", "ws", "--accept-package", name)
+    outcome = keymint("create", "--all", "-w", "ws", "--trust-package", name)
     assert outcome.code == 2
     assert "the policy includes no file of a package" in outcome.err
     assert len(outcome.err.splitlines()) == 1
@@ -392,7 +392,7 @@ def test_an_acceptance_does_not_outlive_its_include(keymint, accepted: Path, tmp
     ship(tmp_path / "prefix", {"other.xml": fragment(topic("/other"))})
     ship(tmp_path / "prefix", {"one.xml": fragment(topic("/one"))}, "second")
     (tmp_path / "policy.xml").write_text(including(HREF, f"package://{PACKAGE}/other.xml", "package://second/one.xml"))
-    assert keymint("create", "--all", "-w", "ws", *ACCEPT, "--accept-package", "second").code == 0
+    assert keymint("create", "--all", "-w", "ws", *ACCEPT, "--trust-package", "second").code == 0
     lock, copies = accepted / "profile/packages.lock.xml", accepted / "profile/packages.lock.d"
     (tmp_path / "policy.xml").write_text(including(f"package://{PACKAGE}/other.xml"))
     outcome = keymint(*verb, "-w", "ws")

@@ -91,5 +91,5 @@ def test_a_spent_budget(keymint, tmp_path: Path) -> None:
     assert "raise --budget" in outcome.err
     result = keymint("diff", "s.xml", "st.xml", "--budget", "1", "--json").document["result"]
     assert (result["equivalent"], result["subjects"][0]["subject"]) == (False, None)
-    assert "**Equivalent**" not in keymint("diff", "s.xml", "st.xml", "--budget", "1", "-f", "markdown").out
+    assert "**Equivalent**" not in keymint("diff", "s.xml", "st.xml", "--budget", "1", "--format", "markdown").out
     assert keymint("diff", "s.xml", "st.xml").out.startswith("subjects like /[s-t]* except /s* (e.g. /t) (new):\n")

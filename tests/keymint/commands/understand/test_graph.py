@@ -119,8 +119,8 @@ def test_common_rules_are_folded_wherever_the_library_lies(
     keymint, provisioned: Path, policy: Path, where: str
 ) -> None:
     arguments = [policy] if where == "policy" else ["-w", provisioned]
-    folded = keymint("graph", *arguments, "-f", "svg").out
-    drawn = keymint("graph", *arguments, "-f", "svg", "--common").out
+    folded = keymint("graph", *arguments, "--format", "svg").out
+    drawn = keymint("graph", *arguments, "--format", "svg", "--common").out
     assert folded.count('class="edge') == 2
     assert "common</text>" in folded
     assert "rosout" in drawn
@@ -130,7 +130,7 @@ def test_common_rules_are_folded_wherever_the_library_lies(
 
 def test_a_rule_of_ones_own_in_a_file_beside_the_library_is_drawn(keymint, tmp_path: Path) -> None:
     keymint("init", "ws")
-    outcome = keymint("graph", "-w", "ws", "-f", "svg")
+    outcome = keymint("graph", "-w", "ws", "--format", "svg")
     assert outcome.code == 0, outcome.err
     assert "/chatter</text>" in outcome.out
     assert "/rosout</text>" not in outcome.out
@@ -141,7 +141,7 @@ def test_the_title_is_the_name_of_the_policy_and_not_its_path(keymint, tmp_path:
     folder.mkdir(parents=True)
     (folder / "fleet.xml").write_text("<profiles><profile name='a'><attachment>/a</attachment></profile></profiles>")
     for path in (folder / "fleet.xml", folder):
-        found = keymint("graph", path, "-f", "svg").out
+        found = keymint("graph", path, "--format", "svg").out
         assert f"<title>{path.stem}</title>" in found
         assert str(tmp_path) not in found
 
@@ -150,7 +150,7 @@ def test_a_copy_of_the_library_that_was_edited_hides_nothing(keymint, tmp_path: 
     keymint("init", "ws")
     copy = tmp_path / "ws/profile/comarmor.d/common/node/logging.xml"
     copy.write_text(copy.read_text().replace("/rosout", "/cmd_vel"))
-    outcome = keymint("graph", "-w", "ws", "-f", "svg")
+    outcome = keymint("graph", "-w", "ws", "--format", "svg")
     assert outcome.code == 0, outcome.err
     assert "/cmd_vel</text>" in outcome.out
     assert "/rosout</text>" not in outcome.out
@@ -225,6 +225,6 @@ def test_a_picture_says_when_and_of_what_it_was_made(keymint, provisioned: Path,
     files = (f"{hashlib.sha256((install / name).read_bytes()).hexdigest()}  {name}" for name in kept)
     assert f"keystore sha256 {digest(*files)}" in keymint("graph", cwd=provisioned).out
     of_graph = f"graph sha256 {hashlib.sha256(captured.read_bytes()).hexdigest()}"
-    labelled = keymint("graph", captured, "--policy", alone, "-f", "svg").out
+    labelled = keymint("graph", captured, "--policy", alone, "--format", "svg").out
     assert of_graph in labelled
     assert of_file in labelled

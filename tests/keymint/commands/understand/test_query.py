@@ -60,7 +60,7 @@ def test_answers_on_the_fleet(keymint, question: str, code: int, said: str) -> N
             "ros_request and ros_op",
         ),
         ("who can publish robot1/cmd_vel", "is read as a raw topic", "did you mean '/robot1/cmd_vel'?"),
-        ("can /robot1/bas subscribe /robot1/cmd_vel", "no profile of the policy applies to /robot1/bas", ""),
+        ("can /fleet/dashbord subscribe /robot1/cmd_vel", "applies to /fleet/dashbord, so it has no perm", ""),
     ],
 )
 def test_an_object_that_is_misspelt(keymint, question: str, message: str, help_: str) -> None:
@@ -77,7 +77,7 @@ def test_an_object_that_is_like_no_other_is_not_doubted(keymint, question: str) 
 
 
 def test_a_subject_that_is_misspelt(keymint) -> None:
-    assert "did you mean '/robot1/base'?" in keymint("query", FLEET, "what can /robot1/bas do").out
+    assert "did you mean '/fleet/dashboard'?" in keymint("query", FLEET, "what can /fleet/dashbord do").out
 
 
 def test_infrastructure_counts_if_asked(keymint) -> None:

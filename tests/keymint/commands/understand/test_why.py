@@ -57,7 +57,7 @@ def why(keymint: Callable[..., Outcome], once: Path, tmp_path: Path) -> Callable
         outcome = keymint("provision", "policy.xml", "-w", "ws", cwd=once)
         assert outcome.code == 0, outcome.err
     shutil.copytree(once, tmp_path, dirs_exist_ok=True)
-    return lambda *arguments: keymint("why", *arguments, "-t", "omg", "-w", "ws")
+    return lambda *arguments: keymint("why", *arguments, "-i", "omg", "-w", "ws")
 
 
 def test_a_deny_that_decides(why) -> None:
@@ -193,12 +193,12 @@ def test_usage(why, arguments: tuple[str, ...], expected: str) -> None:
 def test_it_asks_in_the_domain_of_the_subject(keymint, tmp_path: Path) -> None:
     (tmp_path / "p.xml").write_text(POLICY)
     assert keymint("provision", "p.xml", "-w", "there", "--domain", "42").code == 0
-    outcome = keymint("why", "/cell/arm", "ros_subscribe", "/estop", "-w", "there", "-t", "omg", "--json")
+    outcome = keymint("why", "/cell/arm", "ros_subscribe", "/estop", "-w", "there", "-i", "omg", "--json")
     assert outcome.code == 0, outcome.out
     result = json.loads(outcome.out)["result"]
     assert result["edge"]["domain"] == 42
     assert [each["allowed"] for each in result["transports"]] == [True]
-    outcome = keymint("why", "/cell/arm", "ros_subscribe", "/estop", "-w", "there", "-t", "omg", "--domain", "0")
+    outcome = keymint("why", "/cell/arm", "ros_subscribe", "/estop", "-w", "there", "-i", "omg", "--domain", "0")
     assert outcome.code == 3
     assert "/cell/arm is granted domain 42, not 0: leave out --domain" in outcome.err
     assert "keymint build" not in outcome.err, "a new build would change nothing"

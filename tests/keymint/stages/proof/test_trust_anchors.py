@@ -32,7 +32,7 @@ def test_an_enclave_of_another_workspace_is_a_finding_of_every_verb(
     assert by_name["/talker"]["claims"] == []
     assert by_name["/robot1/listener"]["proof"] == "proven"
     assert "'keymint install' restores it" in keymint("prove", "-w", provisioned).err
-    for arguments in (["verify", "-t", "omg"], ["why", "/talker", "ros_publish", "/chatter", "-t", "omg"]):
+    for arguments in (["verify", "-i", "omg"], ["why", "/talker", "ros_publish", "/chatter", "-i", "omg"]):
         outcome = keymint(*arguments, "-w", provisioned, "--json")
         assert outcome.code == 3, "its own authorities permit it, but they are not ours"
         found = [each for each in outcome.document["diagnostics"] if each["code"] == "authority-differs"]
@@ -56,7 +56,7 @@ def test_a_key_that_was_replaced_is_found_though_the_proof_is_remembered(
 def test_without_the_workspaces_authority_nothing_is_proven(keymint: Callable, provisioned: Path, role: str):
     assert keymint("prove", "-w", provisioned).code == 0
     (provisioned / f"public/{role}.cert.pem").unlink()
-    for arguments in (["prove"], ["verify", "-t", "omg"], ["why", "/talker", "ros_publish", "/chatter", "-t", "omg"]):
+    for arguments in (["prove"], ["verify", "-i", "omg"], ["why", "/talker", "ros_publish", "/chatter", "-i", "omg"]):
         outcome = keymint(*arguments, "-w", provisioned)
         assert outcome.code == 3, outcome.out
         assert f"public/{role}.cert.pem: error: the certificate of the authority '{role}' is missing" in outcome.err
