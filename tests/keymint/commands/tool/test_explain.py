@@ -9,6 +9,7 @@ import click
 
 from keymint.cli import cli
 from keymint.commands.tool.explain import PARTS, explanations
+from tests.conftest import CHECKOUT
 from tests.keymint.commands.test_json import held
 
 CODES = explanations()
@@ -44,6 +45,20 @@ def test_what_texts_advise_exists() -> None:
         command, arguments = verb_of(f"{verb}{rest}")
         known = {name for each in command.params for name in each.opts} | {"--help"}
         assert set(re.findall(r"(?<!\S)--?[a-z][a-z0-9-]*", arguments)) <= known, f"{verb}{rest}"
+
+
+def options_of(command: click.Command) -> set[str]:
+    """Return the options of a verb, or of all verbs of a group."""
+    names = command.list_commands(click.Context(command)) if isinstance(command, click.Group) else ()
+    below = (command.get_command(click.Context(command), name) for name in names)  # type: ignore[union-attr]
+    own = {name for each in command.params for name in (*each.opts, *each.secondary_opts)}
+    return own.union(*(options_of(each) for each in below if each))
+
+
+def test_options_and_pages_that_texts_name_exist() -> None:
+    text = "\n".join(text for of_code in CODES.values() for text in of_code.values())
+    assert set(re.findall(r"'(--?[a-z][a-z-]*)", text)) <= options_of(cli)
+    assert [page for page in re.findall(r"docs/[a-z0-9-]+\.md", text) if not (CHECKOUT / page).is_file()] == []
 
 
 def test_it_explains_codes(keymint) -> None:
