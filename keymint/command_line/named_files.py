@@ -107,11 +107,10 @@ def replace_inputs(run: Run, changed: Mapping[Path, tuple[bytes, bytes]]) -> Non
     write_files(Path(os.path.commonpath([path.parent for path in files])), files, run.console.waiting)
 
 
-def show_written(run: Run, path: Path, written: list[str]) -> None:
-    """Show which files :func:`write_outputs` wrote, or that the file at the path is up to date."""
-    run.console.lines(f"{file} {'would be written' if run.dry_run else 'written'}" for file in written)
-    if not written:
-        run.console.line(f"{path} is up to date")
+def told_written(run: Run, path: Path, written: list[str]) -> list[str]:
+    """Return lines that say which files :func:`write_outputs` wrote, or that the file at the path is up to date."""
+    would = "would be written" if run.dry_run else "written"
+    return [f"{file} {would}" for file in written] or [f"{path} is up to date"]
 
 
 def deliver(run: Run, output: Path | None, content: bytes, keep: KeymintError | None = None) -> dict[str, Any]:
@@ -133,7 +132,7 @@ def deliver(run: Run, output: Path | None, content: bytes, keep: KeymintError | 
         run.console.document(content)
         return {"file": None, "written": []}
     written = write_outputs(run, output, content, keep=keep)
-    show_written(run, output, written)
+    run.console.lines(told_written(run, output, written))
     return {"file": str(output), "written": written}
 
 

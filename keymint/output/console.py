@@ -7,7 +7,7 @@ import io
 import itertools
 import json
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from datetime import datetime
@@ -103,9 +103,7 @@ class Console:
             document = json.dumps(encodable_value(report_json(report)), indent=2, ensure_ascii=True)
             self._streams.out.write(f"{document}\n")
             return
-        for diagnostic, number in self._rolled_up(report.diagnostics):
-            notes = report.notes if isinstance(report.notes, bool) else diagnostic.code in report.notes
-            self.diagnostic(diagnostic, number, notes=notes)
+        self.diagnostics(report.diagnostics, report.notes)
         if self._verbosity >= 0:
             self._steps(report)
 
@@ -122,14 +120,19 @@ class Console:
         console.show(report)
         return out.getvalue(), err.getvalue()
 
-    def diagnostic(self, diagnostic: Diagnostic, number: int = 1, *, notes: bool = False) -> None:
-        """Show one diagnostic: ``place: severity: message (help) [code]``; notes only if verbose or wanted.
+    def diagnostics(self, diagnostics: Sequence[Diagnostic], notes: bool | Collection[str] = False) -> None:
+        """Show diagnostics: ``place: severity: message (help) [code]``; many that are alike as one line.
 
         Args:
-            diagnostic: the diagnostic.
-            number: how many are like it; the others are not shown.
-            notes: show it although it is a note.
+            diagnostics: the diagnostics.
+            notes: whether notes are shown although the output is not verbose, or the codes of those that are.
         """
+        for diagnostic, number in self._rolled_up(diagnostics):
+            self._diagnostic(
+                diagnostic, number, notes=notes is True or (notes is not False and diagnostic.code in notes)
+            )
+
+    def _diagnostic(self, diagnostic: Diagnostic, number: int, *, notes: bool) -> None:
         if diagnostic.severity is Severity.NOTE and self._verbosity < (0 if notes else 1):
             return
         if diagnostic.severity is Severity.WARNING and self._verbosity < 0:

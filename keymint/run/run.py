@@ -274,8 +274,7 @@ class Run:
             stopped = Diagnostic.error("not-confirmed", "nothing was written", None, "if this is wanted, add --yes")
         else:
             show()
-            for each in reasons:
-                self.console.diagnostic(self.as_typed(each))
+            self.console.diagnostics([*map(self.as_typed, reasons)])
             if self._agrees("Go on? [y/N] "):
                 self._agreed.update(reasons)
                 return ()

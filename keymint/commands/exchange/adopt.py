@@ -88,7 +88,7 @@ def adopt(
     rules = of_documents(reader, files, found.enclaves, target)
     nodes = node_notes(run.plugins, (build_type_name,), target, rules)
     found = replace(found, diagnostics=(*found.diagnostics, *(own.diagnostics if own else ()), *different, *nodes))
-    run.console.lines(_summary(str(keystore), found, {each.subject: each.words for each in comparisons}))
+    run.console.messages([*_summary(str(keystore), found, {each.subject: each.words for each in comparisons})])
     result = _result(found, {each.subject: each.as_json() for each in comparisons})
     if not applied:
         return run.report(result, found.diagnostics, findings_exit(found.diagnostics), notes=NODE_NOTES)

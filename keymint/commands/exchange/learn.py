@@ -15,7 +15,7 @@ from comarmor.text import quantity
 from comarmor.xml.reader import looks_like_xml
 from keymint.api import GrantedRules, LearnedPolicy, LoadedPolicy, graph_json
 from keymint.api.graph import NAMES_DIFFER, Graph, differing_names
-from keymint.command_line.named_files import deliver, read_input, replacement_refusal, show_written, write_outputs
+from keymint.command_line.named_files import deliver, read_input, replacement_refusal, told_written, write_outputs
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions, force_option, policy_options
 from keymint.command_line.verb import PATH, Report, Run, argument, findings_if, path_option, verb
@@ -179,7 +179,7 @@ def _tell(run: Run, learned: LearnedPolicy, output: Path | None, written: list[s
         run.console.lines(f"missing  {each.subject} {each.permission} {each.object.name}" for each in learned.missing)
         run.console.lines(f"unused   {rule.where or rule.subject}: {rule.message}" for rule in learned.unused)
     if learned.document:
-        show_written(run, output, written)
+        run.console.lines(told_written(run, output, written))
     else:
         run.console.line("the existing policy allows the graph: nothing to write")
 

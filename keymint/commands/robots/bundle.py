@@ -16,7 +16,7 @@ from comarmor.values import dataclass
 from keymint.api import Package, Phase
 from keymint.authority.authorities import MintedAuthority, plan_authorities
 from keymint.authority.rollover import phase_of
-from keymint.command_line.named_files import show_written, user_path, write_outputs
+from keymint.command_line.named_files import told_written, user_path, write_outputs
 from keymint.command_line.options import Names, names_group
 from keymint.command_line.verb import Report, Run, flag, path_option, verb
 from keymint.errors import KeymintError, usage_error
@@ -136,12 +136,13 @@ def write_bundles(run: Run, output: Path | None, made: Sequence[MadeBundle]) -> 
         KeymintError: the system refuses.
     """
     documents = []
+    told: list[str] = []
     for each in made:
         file = f"{each.manifest.name.replace('/', '.')}.bundle"
         target = Path(file) if output is None else output / file if user_path(run, output).is_dir() else output
-        show_written(run, target, write_outputs(run, target, each.content, secret=each.secret))
+        told += told_written(run, target, write_outputs(run, target, each.content, secret=each.secret))
         if each.secret:
-            run.console.line(
+            told.append(
                 f"  it has the private key of {each.manifest.enclave}: whoever reads it can act as this enclave"
             )
         documents.append(
@@ -152,6 +153,7 @@ def write_bundles(run: Run, output: Path | None, made: Sequence[MadeBundle]) -> 
                 **members(each.manifest, "key", "authority", "generation", "issue", "revocations", "not_after"),
             }
         )
+    run.console.messages(told)
     run.console.lines(
         f"on a robot that has nothing of this authority yet: keymint accept --authority-fingerprint {authority}"
         for authority in dict.fromkeys(each.manifest.authority for each in made)

@@ -77,7 +77,7 @@ def fmt(
         run.console.document(files[0].after)
     elif diff is None:
         if writes or run.dry_run:
-            run.console.lines(f"{each.name} {'written' if writes else 'would be written'}" for each in changed)
+            run.console.messages([f"{each.name} {'written' if writes else 'would be written'}" for each in changed])
         done = "reformatted" if writes else "to reformat"
         run.console.line(f"{quantity(len(changed), 'file')} {done}, {len(files) - len(changed)} unchanged")
     result: dict[str, Any] = {
