@@ -72,6 +72,12 @@ def quote(text: str, limit: int = 60) -> str:
     return f"'{shown[:limit]}…'" if len(shown) > limit else f"'{shown}'"
 
 
+def hexadecimal(number: int) -> str:
+    """Return a serial number as openssl does, in whole bytes: ``0a1b``."""
+    digits = f"{number:x}"
+    return digits.zfill(len(digits) + len(digits) % 2)
+
+
 def quantity(number: int, noun: str) -> str:
     """Return a number with its noun: ``no edges``, ``1 edge``, ``2 mismatches``."""
     ending = "" if number == 1 else "es" if noun.endswith(("ch", "x")) else "s"

@@ -14,7 +14,7 @@ from dataclasses import replace
 from cryptography import x509
 
 from comarmor.errors import Diagnostic, Origin
-from comarmor.text import first_few, quantity
+from comarmor.text import first_few, hexadecimal, quantity
 from keymint.api import LoadedPolicy, Phase
 from keymint.authority.authority_files import issuers
 from keymint.authority.rollover import staged_session
@@ -72,13 +72,14 @@ def register_findings(session: Session) -> Iterator[Diagnostic]:
         issue = f"'keymint install {name}' issues another one"
         first, last = certificates.period(certificate)
         if known is None:
-            message = f"is a certificate with the serial number {certificate.serial_number:x} that nobody registered"
+            serial = hexadecimal(certificate.serial_number)
+            message = f"is a certificate with the serial number {serial} that nobody registered"
             help_ = f"find out who issued it: the key of {package.identity.issuer!r} did; then {issue}"
             yield Diagnostic.error("certificate-unregistered", message, where, help_, package.subject)
         elif (known.name, known.key, known.not_before, known.not_after) != (
             name, certificates.fingerprint(certificate), first, last,
         ):  # fmt: skip
-            message = f"differs from the certificate that was issued with the serial number {known.serial:x}"
+            message = f"differs from the certificate that was issued with the serial number {hexadecimal(known.serial)}"
             yield Diagnostic.error("certificate-unregistered", message, where, issue, package.subject)
         elif known.revoked is not None:
             message = f"was revoked on {iso_time(known.revoked)} ({known.reason})"
@@ -178,7 +179,9 @@ def _accepted(session: Session, authority: str) -> tuple[str, ...]:
     """Return the subjects whose certificates by an authority were revoked and have not ended, sorted."""
     own, register = (issuer for _, name, issuer in issuers(session) if name == authority), register_of(session)
     revoked = (each for issuer in own for each in register.revoked(issuer_of(issuer)) if each.not_after >= session.now)
-    return tuple(sorted({subject_of(each.name) if each.name else f"certificate {each.serial:x}" for each in revoked}))
+    return tuple(
+        sorted({subject_of(each.name) if each.name else f"certificate {hexadecimal(each.serial)}" for each in revoked})
+    )
 
 
 SHOWN_NOTES = frozenset({RIGHTS_OUTLIVE, "authority-key-missing", "not-examined"})

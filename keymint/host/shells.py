@@ -52,9 +52,15 @@ SHELLS: Mapping[str, Shell] = MappingProxyType(
             f"unset {_FOLDER}\n",
             _POSIX_ESCAPES,
         ),
-        "zsh": Shell(f'{_FOLDER}="${{${{(%):-%x}}:A:h}}"\n', _POSIX_EXPORT, f"unset {_FOLDER}\n", _POSIX_ESCAPES),
+        "zsh": Shell(  # %x would show control characters in place of them
+            f'{_FOLDER}="${{${{${{funcsourcetrace[@]:0:1}}%:*}}:A:h}}"\n',
+            _POSIX_EXPORT,
+            f"unset {_FOLDER}\n",
+            _POSIX_ESCAPES,
+        ),
         "fish": Shell(
-            f"set -l {_FOLDER} (dirname -- (realpath -- (status filename) | string collect) | string collect)\n",
+            f"set -l {_FOLDER} (realpath -- (status filename | string collect) | string collect)\n"
+            f"set {_FOLDER} (dirname -- ${_FOLDER} | string collect)\n",
             "set -gx {name} {value}",
             "",
             MappingProxyType({"'": "\\'", "\\": "\\\\"}),

@@ -10,6 +10,7 @@ from collections.abc import Collection, Iterator, Mapping
 from datetime import datetime
 
 from comarmor.errors import Origin
+from comarmor.text import hexadecimal
 from keymint.api import Authority, SigningAuthority
 from keymint.authority import authority_files
 from keymint.authority.authorities import MintedAuthority
@@ -182,7 +183,7 @@ def _require_known(session: Session, name: str, present: RevocationList, revoked
         shown = session.workspace.shown(session.workspace.revocation_list(name))
         raise KeymintError(
             f"does not know {len(unknown)} of the revocations in {shown}, e.g. of the serial number "
-            f"{unknown[0].serial:x}: it is older than the list",
+            f"{hexadecimal(unknown[0].serial)}: it is older than the list",
             where=session.workspace.origin(session.workspace.register),
             help="restore the latest register from a backup; or remove it, and 'keymint crl --rebuild' makes it again",
             code="register-outdated",
@@ -209,7 +210,7 @@ def require_nothing_lost(before: bytes | None, after: bytes | None, where: Origi
     lost = [each for each in found.revocations if each.serial not in serials]
     if lost and (new is None or found.issuer == new.issuer):
         raise KeymintError(
-            f"revokes certificates that the new list does not, e.g. the one with the serial number {lost[0].serial:x}",
+            f"revokes certificates that the new list does not, e.g. serial number {hexadecimal(lost[0].serial)}",
             where=where,
             help="restore the register of issued certificates; or move the list away if they may be accepted again",
             code="revocation-list-foreign",

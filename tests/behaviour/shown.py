@@ -22,6 +22,8 @@ from typing import Any
 from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat, pkcs7
 
+from comarmor.text import hexadecimal
+
 _NUMBER = re.compile(r"(?<![0-9A-Za-z])(?:[0-9A-Fa-f]{2}(?::[0-9A-Fa-f]{2}){7,}|[0-9A-Fa-f]{12,})(?![0-9A-Za-z])")
 _PEM = re.compile(rb"-----BEGIN ([A-Z0-9 ]+)-----.+?-----END \1-----", re.DOTALL)
 _NONCE = re.compile(rb'"nonce":"([0-9a-f]+)"')
@@ -179,7 +181,7 @@ class Volatile:
             shown["issuer"] = found.issuer.rfc4514_string()
             shown["dates"] = [str(found.last_update_utc), str(found.next_update_utc)]
             shown["revoked"] = sorted(
-                f"{self._name(f'{each.serial_number:x}')} {each.revocation_date_utc} "
+                f"{self._name(hexadecimal(each.serial_number))} {each.revocation_date_utc} "
                 f"{[reason.value for reason in each.extensions]}"
                 for each in found
             )
@@ -188,7 +190,7 @@ class Volatile:
             shown["key"] = f"{type(found.public_key()).__name__} {getattr(found.public_key(), 'key_size', '')}"
         if isinstance(found, x509.Certificate):
             shown["issuer"] = found.issuer.rfc4514_string()
-            shown["serial"] = self._name(f"{found.serial_number:x}")
+            shown["serial"] = self._name(hexadecimal(found.serial_number))
             shown["dates"] = [str(found.not_valid_before_utc), str(found.not_valid_after_utc)]
         shown["signature"] = found.signature_algorithm_oid.dotted_string
         shown["extensions"] = [

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from comarmor.text import did_you_mean, encodable_value, first_few, nearest_word, one_line, quantity, quote
+from comarmor.text import did_you_mean, encodable_value, first_few, hexadecimal, nearest_word, one_line, quantity, quote
 
 ANY = st.text(st.characters(codec=None))
 
@@ -50,3 +50,8 @@ def test_suggestions_ignore_case() -> None:
 def test_the_first_of_many() -> None:
     assert first_few(["a", "b"], 2) == "a, b"
     assert first_few(["a", "b", "c"], 2) == "a, b, …"
+
+
+@pytest.mark.parametrize(("number", "text"), [(0, "00"), (10, "0a"), (0x1B, "1b"), (0x123, "0123")])
+def test_a_serial_number_has_whole_bytes(number: int, text: str) -> None:
+    assert hexadecimal(number) == text

@@ -11,7 +11,7 @@ from typing import Any
 
 from cryptography import x509
 
-from comarmor.text import quantity
+from comarmor.text import hexadecimal, quantity
 from keymint.authority import authority_files
 from keymint.authority.authorities import authority_named
 from keymint.authority.authority_changes import uses
@@ -90,7 +90,7 @@ def _certificate(certificate: x509.Certificate, due: datetime | None = None) -> 
     identifier = extensions.value(certificate, x509.SubjectKeyIdentifier)
     return {
         "subject": distinguished_names.to_text(certificate.subject),
-        "serial": f"{certificate.serial_number:x}",
+        "serial": hexadecimal(certificate.serial_number),
         "key": f"RSA {kind.size}" if kind.algorithm == "rsa" else f"EC {kind.curve}",
         "fingerprint": keys.fingerprint(public),
         "not_before": first,

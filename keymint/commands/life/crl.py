@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from comarmor.text import hexadecimal
 from keymint.command_line.options import validity
 from keymint.command_line.verb import Report, Run, flag, option, verb
 from keymint.errors import ExitCode, KeymintError
@@ -79,7 +80,7 @@ def _shown(run: Run, session: Session, done: Report | None = None) -> Report:
             "file": session.workspace.shown(session.workspace.revocation_list(name)),
             **members(each, "number", "this_update", "next_update"),
             "revoked": [
-                {"serial": f"{one.serial:x}", "subject": subjects.get(one.serial), **members(one, "at", "reason")}
+                {"serial": hexadecimal(one.serial), "subject": subjects.get(one.serial), **members(one, "at", "reason")}
                 for one in each.revocations
             ],
         }

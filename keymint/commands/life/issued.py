@@ -8,6 +8,7 @@ from datetime import datetime
 from functools import partial
 from typing import Any
 
+from comarmor.text import hexadecimal
 from keymint.command_line.named_packages import Selection
 from keymint.command_line.options import Names, names_group
 from keymint.command_line.verb import Report, Run, flag, verb
@@ -61,7 +62,7 @@ def issued_certificates(
 def certificate_json(each: IssuedCertificate) -> dict[str, Any]:
     """Return the entry of a certificate for ``--json``; serial numbers are hexadecimal."""
     return {
-        "serial": f"{each.serial:x}",
+        "serial": hexadecimal(each.serial),
         "authority": each.authority,
         "subject": subject_of(each.name) if each.name else None,
         **members(each, "generation", "issued", "not_before", "not_after", "key", "rights", "revoked", "reason"),

@@ -15,7 +15,7 @@ from typing import Any
 from cryptography import x509
 
 from comarmor.errors import Diagnostic, Origin
-from comarmor.text import quantity
+from comarmor.text import hexadecimal, quantity
 from keymint.api import FoundAuthority, FoundEnclave, FoundKeystore, KeystoreFiles, TrustAnchor
 from keymint.errors import KeymintError
 from keymint.pki import certificates, extensions, foreign_authorities, keys, revocation_lists
@@ -275,7 +275,8 @@ class _ForeignKeystore:
         known = {each.serial for each in lists[newest].revocations}
         for path, other in lists.items():
             if lost := [each.serial for each in other.revocations if each.serial not in known]:
-                message = f"does not revoke all that {contents.place(path)} revokes, e.g. the serial number {lost[0]:x}"
+                serial = hexadecimal(lost[0])
+                message = f"does not revoke all that {contents.place(path)} revokes, e.g. the serial number {serial}"
                 accepted = "if these certificates may be accepted again"
                 help_ = f"issue a list with all of it; or remove the older one, {accepted}"
                 self._error(_REVOCATIONS, newest, message, help_)

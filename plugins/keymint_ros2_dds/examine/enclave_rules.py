@@ -14,6 +14,7 @@ from functools import cached_property
 from typing import Generic, TypeVar
 
 from comarmor.errors import Defects, Diagnostic
+from comarmor.text import hexadecimal
 from comarmor.values import dataclass
 from keymint.api import EnclaveFiles, TrustAnchors
 from keymint.errors import KeymintError
@@ -177,7 +178,7 @@ class EnclaveRules(IdentityCheck):
         """Yield an error if vendors refuse a participant with the revocation list of the enclave, dates aside."""
         problem, found = self._list_problem, self.revocation
         if found:
-            when = f"serial number {found.serial:x}, since {found.at:%Y-%m-%d} ({found.reason})"
+            when = f"serial number {hexadecimal(found.serial)}, since {found.at:%Y-%m-%d} ({found.reason})"
             problem = f"revokes the certificate beside it, {when}"
         if problem:
             help_ = "remove it, or replace it with a list by the certificate's issuer"

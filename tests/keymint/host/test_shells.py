@@ -56,7 +56,8 @@ def test_a_script_finds_its_folder(shell: str, name: str, tmp_path: Path) -> Non
     by_link = f"source ./link.{shell}; cd /", tmp_path
     by_folder = f"source folder/keystore.{shell}", tmp_path
     beside = f"{STRICT.get(shell, '')}source ./keystore.{shell}", keystore
-    for commands, cwd in (by_link, by_folder, beside):
+    absolute = f"source {SHELLS[shell].quoted(str(keystore / f'keystore.{shell}'))}", tmp_path
+    for commands, cwd in (by_link, by_folder, beside, absolute):
         found = seen(shell, commands, cwd)
         assert {each: found[each] for each in expected} == expected
         assert not [each for each in found if "keymint" in each]

@@ -17,6 +17,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, load_pem_priv
 from cryptography.x509.oid import AttributeOID, NameOID
 
 from comarmor.errors import Origin
+from comarmor.text import hexadecimal
 from keymint.pki import certificates, keys
 from keymint.robots import bundle, certification_request
 from tests.conftest import NOW, snapshot
@@ -147,7 +148,7 @@ def test_the_register_has_the_certificate(keymint, ws: Path) -> None:
     confirmed = ask(keymint)
     ran(keymint, "sign", "talker.request.pem", "-w", "ws", "--fingerprint", confirmed)
     issued = ran(keymint, "issued", "-w", "ws")
-    assert f"{installed(ws).serial_number:x}" in str(issued)
+    assert hexadecimal(installed(ws).serial_number) in str(issued)
     assert confirmed.removeprefix("talker=") in str(issued)
 
 

@@ -13,6 +13,7 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding, load_pem_private_key
 
+from comarmor.text import hexadecimal
 from tests.keymint.commands.exchange.test_adopt import POLICY, made
 from tests.keymint.commands.exchange.test_adopt_apply import files
 
@@ -73,7 +74,7 @@ def test_a_list_is_gone_on_with(keymint, keystore: Path, tmp_path: Path) -> None
         assert keymint(verb, "-w", "ws").code == 0
         assert files(tmp_path / "ws/install", "enclaves/", "public/") == robots
     (shown,) = keymint("crl", "-w", "ws", "--json").document["result"]["lists"]
-    assert (shown["number"], [each["serial"] for each in shown["revoked"]]) == (7, [f"{OTHER:x}"])
+    assert (shown["number"], [each["serial"] for each in shown["revoked"]]) == (7, [hexadecimal(OTHER)])
     serial = serial_of(keystore, "talker")
     assert keymint("revoke", "talker", "--reason", "retired", "-w", "ws").code == 0
     new = x509.load_pem_x509_crl((tmp_path / "ws/install/enclaves/robot1/listener/crl.pem").read_bytes())
@@ -112,8 +113,9 @@ def test_an_enclave_that_is_revoked(keymint, keystore: Path, tmp_path: Path) -> 
     put(keystore, revoking(keystore, [serial]))
     outcome = keymint("adopt", "ks", "policy.xml", "--apply", "-w", "ws")
     assert outcome.code == 1
+    shown = hexadecimal(serial)
     assert (
-        f"ks/enclaves/talker/crl.pem: error: revokes the certificate beside it, serial number {serial:x}, since "
+        f"ks/enclaves/talker/crl.pem: error: revokes the certificate beside it, serial number {shown}, since "
         "2026-01-15 (key-compromise): vendors refuse the participant (take it out of the keystore;" in outcome.err
     )
     assert not (tmp_path / "ws").exists()
@@ -144,7 +146,8 @@ def test_a_revocation_that_the_newest_list_lacks(keymint, keystore: Path) -> Non
     (keystore / "private/old.crl").write_bytes(revoking(keystore, [OTHER, 12]))
     outcome = keymint("adopt", "ks")
     assert (
-        "crl.pem: error: does not revoke all that ks/private/old.crl revokes, e.g. the serial number c (" in outcome.err
+        "crl.pem: error: does not revoke all that ks/private/old.crl revokes, e.g. the serial number 0c ("
+        in outcome.err
     )
 
 

@@ -7,6 +7,7 @@ import pytest
 from cryptography import x509
 from keymint_ros2_dds.examine.enclave_rules import EnclaveRules
 
+from comarmor.text import hexadecimal
 from keymint.pki import revocation_lists
 from tests.plugins.keymint_ros2_dds.builds import CHATTER
 from tests.plugins.keymint_ros2_dds.enclaves import NOW, authority, installed, revoking
@@ -38,7 +39,7 @@ def test_a_list_that_does_not_name_the_certificate_has_no_problem(identity: byte
 def test_a_revoked_certificate_is_named_with_date_and_reason(identity: bytes) -> None:
     own = serial(identity)
     text = problem(revoking("identity_ca", own), identity)
-    assert text.startswith(f"revokes the certificate beside it, serial number {own:x}, since 20")
+    assert text.startswith(f"revokes the certificate beside it, serial number {hexadecimal(own)}, since 20")
     assert "(unspecified)" in text
 
 
