@@ -101,7 +101,7 @@ def verb(
 def _former(now: click.Option, names: str) -> click.Option:
     """Return an option that does what another one does, by the names that it had before; no help page has it."""
     before = copy.copy(now)
-    before.name, before.opts, before.hidden = f"former_{now.name}", names.split(), True
+    before.name, before.opts, before.hidden, before.help = f"former_{now.name}", names.split(), True, None
     return before
 
 

@@ -28,7 +28,8 @@ def help_all(*, hidden: bool = False) -> click.Option:
         if not given or context.resilient_parsing:
             return
         others = (each for each in context.command.params if each is not own)
-        options = [each for each in others if isinstance(each, click.Option) and each.hidden]
+        # A former name, which works for one release, has no help and is never listed.
+        options = [each for each in others if isinstance(each, click.Option) and each.hidden and each.help]
         for each in options:
             each.hidden = False
         click.echo(context.get_help(), color=context.color)

@@ -41,6 +41,7 @@ WRITING |= {
     "harden",
     "export",
     "revoke",
+    "remove",
     "renew",
     "crl",
     "sign",
@@ -110,6 +111,11 @@ def test_options_that_few_users_need(keymint, verb: str, options: set[str]) -> N
     assert {each for each in options if each in usual} == set()
     assert {each for each in options if each not in every} == set()
     assert "--help-all" in usual
+
+
+@pytest.mark.parametrize(("verb", "former"), [("import", "--accept "), ("verify", "-t,"), ("build", "--renew")])
+def test_former_names_of_options_are_never_listed(keymint, verb: str, former: str) -> None:
+    assert former not in keymint(verb, "--help-all").out
 
 
 def test_options_that_few_users_need_work(keymint, policy: Path) -> None:
