@@ -6,8 +6,9 @@ Sphinx calls :func:`setup`, which writes them to ``docs/reference/generated/``, 
 
 from __future__ import annotations
 
+import copy
 import inspect
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -86,10 +87,21 @@ def verb_page(name: str, command: click.Command) -> str:
     """Return the page of a verb: how it is called, what it does, its options."""
     context = click.Context(command, info_name=f"keymint {name}")
     usage = " ".join(["keymint", name, *command.collect_usage_pieces(context)])
-    rows = [row for each in command.get_params(context) if (row := each.get_help_record(context))]
-    options = ["| option | meaning |", "|---|---|", *(f"| {code(form)} | {cell(meaning)} |" for form, meaning in rows)]
+    usual = option_table(command.get_params(context), context)
+    hidden = [
+        copy.copy(each) for each in command.params if isinstance(each, click.Option) and each.hidden and each.help
+    ]
+    for each in hidden:
+        each.hidden = False
+    few = ["## Options that few users need", "", *option_table(hidden, context), ""] if hidden else []
     text = paragraphs(command.help or "")
-    return "\n".join([f"# keymint {name}", "", "```", usage, "```", "", *text, "", "## Options", "", *options, ""])
+    return "\n".join([f"# keymint {name}", "", "```", usage, "```", "", *text, "", "## Options", "", *usual, "", *few])
+
+
+def option_table(parameters: Iterable[click.Parameter], context: click.Context) -> list[str]:
+    """Return the lines of a table of options with their meaning; arguments have none."""
+    rows = [row for each in parameters if (row := each.get_help_record(context))]
+    return ["| option | meaning |", "|---|---|", *(f"| {code(form)} | {cell(meaning)} |" for form, meaning in rows)]
 
 
 def paragraphs(text: str) -> Iterator[str]:

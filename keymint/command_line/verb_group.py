@@ -37,7 +37,7 @@ def help_all(*, hidden: bool = False) -> click.Option:
             each.hidden = True
         context.exit()
 
-    text = "Show this message with the options that few users need."
+    text = None if hidden else "Show this message with the options that few users need."
     return click.Option(
         [HELP_ALL], is_flag=True, is_eager=True, expose_value=False, hidden=hidden, help=text, callback=show
     )
