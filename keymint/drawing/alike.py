@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import functools
 import re
-from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
 
 from comarmor.values import dataclass
 from keymint.api.graph import DomainObject
+from keymint.drawing.appearance import natural
 from keymint.drawing.labelled_graph import LabelledEdge
 
 _DEEPEST = 6
@@ -24,6 +25,8 @@ _Form = tuple[object, ...]
 """An edge or a subject without the names of robots: numbers stand for them, in the order in which they occur."""
 _Robots = tuple[str, ...]
 """The robots of an edge in this order, each once."""
+_Thing = LabelledEdge | str
+"""An edge or a subject."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,66 +61,53 @@ class AlikeFold:
     classes: tuple[Alike, ...]
 
 
-def natural(name: str) -> list[tuple[int, str]]:
-    """Return a key that sorts numbers in names by value: ``r2`` before ``r10``."""
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d{1,18})", name)]
-
-
 def fold_alike(edges: Sequence[LabelledEdge], subjects: Sequence[str]) -> AlikeFold:
     """Return a graph of which one robot of each class is drawn; every edge stands for itself or for equal ones."""
-    drawn: dict[LabelledEdge, LabelledEdge] = {one: one for one in edges}
-    names: dict[str, str] = {subject: subject for subject in subjects}
+    things: Sequence[_Thing] = (*subjects, *edges)
+    drawn = {thing: thing for thing in things}
+    deepest = max((subject.count("/") for subject in subjects), default=0)
     classes: list[Alike] = []
-    others: set[DomainObject] = set()
-    for depth in range(1, min(_DEEPEST, max((subject.count("/") for subject in subjects), default=0)) + 1):
-        level = _Level(edges, subjects, depth)
-        found = level.classes()
-        if found:
-            there = {f"/{level.robot(name)}" for name in names.values()}
-            new = (_class(each, subjects) for each in {each[0]: each for each in found.values()}.values())
-            classes += (each for each in new if len(there.intersection(each.names)) > 1)
-            drawn = {one: level.edge(drawn[one], found) for one in edges}
-            names = {subject: level.subject(names[subject], found) for subject in subjects}
-            others |= {one.edge.domain_object for one in drawn.values() if level.names_another(one, found)}
+    others: set[_Thing] = set()
+    for depth in range(1, min(_DEEPEST, deepest) + 1):
+        level = _Level(things, depth)
+        if found := level.classes():
+            there = {f"/{level.robot(now)}" for now in drawn.values() if isinstance(now, str)}
+            for first, names in {each[0]: tuple(f"/{robot}" for robot in each) for each in found.values()}.items():
+                if len(there.intersection(names)) > 1:
+                    single = not any(subject.startswith(f"/{first}/") for subject in subjects)
+                    classes.append(Alike(names[0], names, single))
+            drawn = {thing: level.drawn(now, found) for thing, now in drawn.items()}
+            others |= {now for now in drawn.values() if level.names_another(now, found)}
     stands: dict[LabelledEdge, list[LabelledEdge]] = defaultdict(list)
-    for one in edges:
-        stands[drawn[one]].append(one)
     members: dict[str, list[str]] = defaultdict(list)
-    for subject in subjects:
-        members[names[subject]].append(subject)
-    kept = tuple(each for each in classes if any(_below(name, each.like) for name in members))
-    remaining = {name: tuple(of_name) for name, of_name in members.items()}
-    return AlikeFold(stands, remaining, frozenset(others & {one.edge.domain_object for one in stands}), kept)
-
-
-def _class(members: Sequence[str], subjects: Iterable[str]) -> Alike:
-    names = tuple(f"/{robot}" for robot in members)
-    return Alike(names[0], names, not any(subject.startswith(f"{names[0]}/") for subject in subjects))
-
-
-def _below(name: str, prefix: str) -> bool:
-    return name == prefix or name.startswith(f"{prefix}/")
+    for thing, now in drawn.items():
+        if isinstance(thing, str):
+            members[str(now)].append(thing)
+        elif not isinstance(now, str):
+            stands[now].append(thing)
+    kept = tuple(each for each in classes if any(f"{name}/".startswith(f"{each.like}/") for name in members))
+    another = frozenset(one.edge.domain_object for one in stands if one in others)
+    return AlikeFold(stands, {name: tuple(of_name) for name, of_name in members.items()}, another, kept)
 
 
 class _Level:
     """The edges and subjects of a graph, with the names of all robots at one level replaced.
 
     Args:
-        edges: the edges.
-        subjects: the subjects.
+        things: the subjects and edges.
         depth: the number of segments in the name of a robot.
     """
 
-    def __init__(self, edges: Sequence[LabelledEdge], subjects: Sequence[str], depth: int) -> None:
+    def __init__(self, things: Sequence[_Thing], depth: int) -> None:
         self._depth = depth
-        self._robots = sorted({self.robot(subject) for subject in subjects} - {""}, key=natural)
+        names = {self.robot(thing) for thing in things if isinstance(thing, str)}
+        self._robots = sorted(names - {""}, key=natural)
         self._known = frozenset(self._robots)
         self._lengths = sorted({len(_words(robot)) for robot in self._robots}, reverse=True)
         self._read = functools.cache(self._reading)
-        self._at: dict[_Form, dict[_Robots, LabelledEdge | str]] = defaultdict(dict)
-        things: Sequence[LabelledEdge | str] = (*subjects, *edges)
-        for thing in things:
-            form, robots = self._formed(thing)
+        self._formed = {thing: self._form(thing) for thing in things}
+        self._at: dict[_Form, dict[_Robots, _Thing]] = defaultdict(dict)
+        for thing, (form, robots) in self._formed.items():
             self._at[form][robots] = thing
 
     def robot(self, subject: str) -> str:
@@ -155,30 +145,28 @@ class _Level:
             for form, robots in (*shared.get(one, ()), *shared.get(other, ()))
         )
 
-    def edge(self, one: LabelledEdge, classes: Mapping[str, Sequence[str]]) -> LabelledEdge:
-        """Return the edge that is drawn for an edge."""
-        form, robots = self._formed(one)
-        found = self._at[form][_first(robots, classes)]
-        return found if isinstance(found, LabelledEdge) else one
+    def drawn(self, thing: _Thing, classes: Mapping[str, Sequence[str]]) -> _Thing:
+        """Return the edge or subject that is drawn for one: it is of the first robots of the same classes."""
+        form, robots = self._formed[thing]
+        used: Counter[str] = Counter()
+        first = []
+        for robot in robots:
+            group = classes.get(robot, (robot,))
+            first.append(group[used[group[0]]])
+            used[group[0]] += 1
+        return self._at[form][tuple(first)]
 
-    def subject(self, name: str, classes: Mapping[str, Sequence[str]]) -> str:
-        """Return the subject that is drawn for a subject."""
-        form, robots = self._formed(name)
-        return str(self._at[form][_first(robots, classes)])
+    def names_another(self, thing: _Thing, classes: Mapping[str, Sequence[str]]) -> bool:
+        """Tell whether what is drawn has the name of a second robot of a class."""
+        return any(robot in classes and classes[robot][0] != robot for robot in self._formed[thing][1])
 
-    def names_another(self, one: LabelledEdge, classes: Mapping[str, Sequence[str]]) -> bool:
-        """Tell whether the object of an edge that is drawn is of another robot than its subject."""
-        _, robots = self._formed(one)
-        return any(robot in classes and classes[robot][0] != robot for robot in robots)
-
-    def _formed(self, thing: LabelledEdge | str) -> tuple[_Form, _Robots]:
+    def _form(self, thing: _Thing) -> tuple[_Form, _Robots]:
         texts: Sequence[str] = [thing] if isinstance(thing, str) else ()
         rest: _Form = ()
         if not isinstance(thing, str):
             edge = thing.edge
             texts = [edge.subject, edge.object.name, *edge.object.partitions]
-            explicit = thing.policy is not None and thing.policy.where is not None
-            rest = (edge.permission, edge.domain, thing.decisions, thing.audit, thing.common, explicit)
+            rest = (edge.permission, edge.domain, thing.judged)
         numbers: dict[str, int] = {}
         form = tuple(
             tuple(numbers.setdefault(word, len(numbers)) if is_robot else word for word, is_robot in self._read(text))
@@ -199,14 +187,3 @@ class _Level:
 def _words(text: str) -> list[str]:
     """Return the words of a name and what separates them."""
     return re.split(r"([^A-Za-z0-9])", text)
-
-
-def _first(robots: _Robots, classes: Mapping[str, Sequence[str]]) -> _Robots:
-    """Return the first robots of the same classes, each once."""
-    used: dict[str, int] = defaultdict(int)
-    first = []
-    for robot in robots:
-        group = classes.get(robot, (robot,))
-        first.append(group[used[group[0]]])
-        used[group[0]] += 1
-    return tuple(first)

@@ -8,13 +8,14 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from comarmor.text import one_line, quantity
 from keymint.api.graph import DomainObject, EdgeOutcome
-from keymint.drawing.alike import Alike, natural
-from keymint.drawing.appearance import KINDS, SHORT_OUTCOMES
+from keymint.drawing.alike import Alike
+from keymint.drawing.appearance import KINDS, SHORT_OUTCOMES, natural
 from keymint.drawing.labelled_graph import LabelledGraph, namespace
 from keymint.drawing.layout import NodeKey
 from keymint.drawing.simplify import LeftOut, SimplifiedGraph
 
 _MOST_RUNS = 8
+"""Groups of robots, and parts of a group, that a caption names."""
 
 
 def alike_words(alike: Alike) -> str:
@@ -77,7 +78,10 @@ def subtitle(drawn: SimplifiedGraph) -> str:
         which = transports[0] if len(transports) == 1 else "all transports"
         false = sum(one.outcome(transport).false for one in labelled.edges)
         notes.append(f"{one_line(which)} compared with the policy: {quantity(false, 'mismatch')}")
-    notes += (f"{alike_words(each)}, equal up to the name, are drawn as one" for each in drawn.alike)
+    largest = sorted(drawn.alike, key=lambda each: -len(each.names))
+    notes += (f"{alike_words(each)}, equal up to the name, are drawn as one" for each in largest[:_MOST_RUNS])
+    if len(largest) > _MOST_RUNS:
+        notes.append(f"so are {len(largest) - _MOST_RUNS} smaller groups (--json has all names)")
     if drawn.marks:
         count = sum(one.common and one.outcome(transport) is EdgeOutcome.ALLOW for one in labelled.edges)
         notes.append(f"{quantity(count, 'common edge')} shown as marks")

@@ -63,6 +63,11 @@ class LabelledEdge:
         """The decision of the policy, then of each transport."""
         return tuple(None if label is None else label.allowed for label in (self.policy, *self.transports))
 
+    @property
+    def judged(self) -> tuple[object, ...]:
+        """All that a picture shows of an edge but its ends: edges are merged only if it is the same."""
+        return self.decisions, self.audit, self.common, self.policy is not None and self.policy.where is not None
+
     def outcome(self, transport: int | None = None) -> EdgeOutcome:
         """Return the outcome for one transport, or for all together (None), where any mismatch wins."""
         labels = self.transports if transport is None else self.transports[transport : transport + 1]

@@ -17,7 +17,7 @@ from itertools import accumulate
 from comarmor.text import one_line
 from comarmor.values import dataclass
 from keymint.api.graph import DomainObject
-from keymint.drawing.appearance import KINDS, columns, object_name, shorten
+from keymint.drawing.appearance import KINDS, columns, natural, object_name, shorten
 from keymint.drawing.labelled_graph import LabelledEdge
 
 CHARACTER = 7.3
@@ -173,8 +173,8 @@ def lay_out(
     return Panel(heading, tuple(boxes.values()), _lines(edges, boxes, sides), max(0.0, x - gap), height)
 
 
-def _rank(key: DomainObject) -> tuple[int, DomainObject]:
-    return list(KINDS).index(key[1].kind), key
+def _rank(key: DomainObject) -> tuple[object, ...]:
+    return list(KINDS).index(key[1].kind), key[0], natural(key[1].name), key
 
 
 # -- order -----------------------------------------------------------------------------------------------------------

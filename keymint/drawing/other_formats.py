@@ -36,7 +36,7 @@ def dot_document(drawn: SimplifiedGraph) -> bytes:
     marks = marks_of(drawn)
     names = {key: folded_name(members) for key, members in drawn.members.items() if len(members) > 1}
     named = labelled.patterns | labelled.probes
-    caption = "\n".join((labelled.title, subtitle(drawn), *labelled.made))
+    caption = "\n".join((labelled.title, subtitle(drawn).replace("; ", "\n"), *labelled.made))
     objects = {key: f"o{at}" for at, key in enumerate(sorted({one.edge.domain_object for one in edges}))}
     subjects = {subject: f"s{at}" for at, subject in enumerate(drawn.subjects)}
 

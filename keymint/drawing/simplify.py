@@ -17,7 +17,7 @@ from comarmor.rules import PARTS
 from comarmor.values import dataclass
 from keymint.api.graph import DomainObject, Edge, EdgeOutcome, Object
 from keymint.drawing.alike import Alike, AlikeFold, fold_alike
-from keymint.drawing.appearance import Theme
+from keymint.drawing.appearance import Theme, natural
 from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, namespace
 
 FOLD_FROM = 40
@@ -147,7 +147,7 @@ def simplify(labelled: LabelledGraph, options: DrawingOptions) -> SimplifiedGrap
         options,
         shown,
         {one: stands[one] for one in shown},
-        folded.subjects,
+        dict(sorted(folded.subjects.items(), key=lambda each: natural(each[0]))),
         folded.classes,
         folded.others,
         marks,
@@ -168,16 +168,11 @@ def _without_parts(stands: Mapping[LabelledEdge, Sequence[LabelledEdge]]) -> _St
         edge = one.edge
         for kind, permission, suffix in PARTS.get((edge.object.kind, edge.permission), ()):
             part = Edge(edge.subject, permission, Object(kind, edge.object.name + suffix), edge.domain)
-            whole_of[part, _judged(one)] = one
+            whole_of[part, one.judged] = one
     found: _Stands = defaultdict(list)
     for one, those in stands.items():
-        found[whole_of.get((one.edge, _judged(one)), one)] += those
+        found[whole_of.get((one.edge, one.judged), one)] += those
     return dict(found)
-
-
-def _judged(one: LabelledEdge) -> tuple[object, ...]:
-    """Return all that a picture shows of an edge but its ends: edges are merged only if it is the same."""
-    return one.decisions, one.audit, one.common, one.policy is not None and one.policy.where is not None
 
 
 def _without_marked(stands: _Stands, options: DrawingOptions) -> tuple[_Stands, tuple[LabelledEdge, ...]]:
@@ -212,7 +207,7 @@ def _fold(
     """
     signatures: dict[DomainObject, set[object]] = defaultdict(set)
     for one in stands:
-        signatures[one.edge.domain_object].add((one.edge.subject, one.edge.permission, _judged(one)))
+        signatures[one.edge.domain_object].add((one.edge.subject, one.edge.permission, one.judged))
     folds: dict[object, list[DomainObject]] = defaultdict(list)
     for (domain, object_), signature in signatures.items():
         place = (
@@ -226,14 +221,14 @@ def _fold(
         folds[(*place, frozenset(signature))].append((domain, object_))
     first_of = {key: min(fold) for fold in folds.values() for key in fold}
     drawn = {
-        (one.edge.subject, one.edge.permission, one.edge.domain_object, _judged(one)): one
+        (one.edge.subject, one.edge.permission, one.edge.domain_object, one.judged): one
         for one in stands
         if first_of[one.edge.domain_object] == one.edge.domain_object
     }
     found: _Stands = defaultdict(list)
     for one, those in stands.items():
         first = first_of[one.edge.domain_object]
-        found[drawn[one.edge.subject, one.edge.permission, first, _judged(one)]] += those
+        found[drawn[one.edge.subject, one.edge.permission, first, one.judged]] += those
     return dict(found), {min(fold): tuple(sorted(fold)) for fold in folds.values()}
 
 

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 
 from comarmor.text import one_line
 from keymint.api.graph import EdgeOutcome
-from keymint.drawing.alike import natural
 from keymint.drawing.appearance import (
     INWARD,
     KINDS,
@@ -43,7 +42,7 @@ MARGIN = 24.0
 LINE = 22.0
 """Height of a line of text, in pixels."""
 _PANEL_GAP = 48.0
-_SHEET = 1500.0
+_SHEET = 1700.0
 """Maximum width of a row of panels, in pixels."""
 _LEAST_WIDTH = 760.0
 _HEAD = 8.0
@@ -162,7 +161,7 @@ def _parts(drawn: SimplifiedGraph) -> Iterator[tuple[str, tuple[LabelledEdge, ..
         yield "", drawn.edges, tuple(drawn.subjects)
         return
     members: dict[str, list[str]] = defaultdict(list)
-    for subject in sorted(drawn.subjects, key=natural):
+    for subject in drawn.subjects:
         members[subject if split is Split.SUBJECT else namespace(subject)].append(subject)
     edges: dict[str, list[LabelledEdge]] = defaultdict(list)
     for one in drawn.edges:

@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from keymint.api.graph import Edge, Object
-from keymint.drawing.alike import fold_alike, natural
+from keymint.drawing.alike import fold_alike
+from keymint.drawing.appearance import natural
 from keymint.drawing.captions import alike_words
 from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph
 

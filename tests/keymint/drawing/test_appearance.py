@@ -62,3 +62,5 @@ def test_contrast(palette: dict[str, str]) -> None:
         assert contrast(palette[kind], background) >= 3
     for line in ("allow", "deny", "danger", "plain", "audit"):
         assert contrast(palette[line], background) >= 3
+    for sign in ("allow", "deny", "danger", "plain"):  # a letter of one colour on the other
+        assert contrast(palette[sign], background) >= 4.5
