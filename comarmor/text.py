@@ -3,10 +3,14 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
+from comarmor.regex import lazy_regex
+
+_NUMBER = lazy_regex("([0-9]+)")
 _LONGEST_WORD = 128
 """Characters of a word that are compared, and shown, at most: difflib takes quadratic time."""
 
@@ -87,6 +91,13 @@ def quantity(number: int, noun: str) -> str:
 def first_few(items: Sequence[str], most: int = 5) -> str:
     """Return the first items separated by commas, with ``…`` for the rest."""
     return ", ".join(items[:most]) + (", …" if len(items) > most else "")
+
+
+def natural_order(name: str) -> tuple[object, ...]:
+    """Return the key that sorts names for people: by the numbers in them, ``r2`` before ``r10``."""
+    parts = _NUMBER.split(name)  # text and digits in turn
+    numbers = ((len(digits), digits) for digits in (each.lstrip("0") for each in parts[1::2]))
+    return (*itertools.chain.from_iterable(itertools.zip_longest(parts[::2], numbers, fillvalue=(0, ""))), name)
 
 
 def _escaped(char: str) -> str:

@@ -90,6 +90,8 @@ VERBS = {verb: help_ for group in GROUPS.values() for verb, help_ in group.items
 
 
 _JSON_FORMAT = lazy_regex(r"-f ?json|--format[ =]json")
+_DEFAULTS = {"COLOR", "FORMAT", "JOBS", "QUIET", "THRESHOLD", "VERBOSE", "WITHIN"}
+"""Ends of the environment variables that may be defaults of options; see :mod:`keymint.command_line.defaults`."""
 _LAST = datetime(9900, 1, 1, tzinfo=UTC)
 """A later clock is an error: authorities are valid for ten years, and certificates end in the year 9999 (RFC 5280)."""
 
@@ -103,7 +105,8 @@ class _Verbs(VerbGroup):
 
 @click.group(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(__version__, prog_name="keymint")
-def cli() -> None:
+@click.option("--color", type=click.Choice(("auto", "always", "never")), help="Colours; auto: on a terminal [auto].")
+def cli(color: str | None) -> None:
     """Mint keys and notarize access control for robots: from a ComArmor policy to a keystore.
 
     \b
@@ -216,15 +219,42 @@ def _fail(arguments: Sequence[str], code: str, message: str, exit_code: ExitCode
 
 def call_of(given: Sequence[str]) -> Call:
     """Return the command with all that its answer may depend on."""
-    from keymint.view.recorded_answers import Call, Consulted  # noqa: PLC0415 - not needed for --help
+    from keymint.view.recorded_answers import DEFAULTS_FILE, Call, Consulted  # noqa: PLC0415 - not needed for --help
 
-    plain = bool(os.environ.get("NO_COLOR")) or os.environ.get("TERM") == "dumb"
-    colours = sys.stdout.isatty() and not plain, sys.stderr.isatty() and not plain
     try:
         folder = str(Path.cwd())
     except OSError as error:
         raise click.UsageError(f"the current directory is unusable: {error.strerror}; change to another one") from None
-    return Call(given, folder, colours, _now().timestamp(), time.time_ns(), Consulted(os.environ))
+    colours = _may_have_colours(sys.stdout), _may_have_colours(sys.stderr)
+    config = os.environ.get("XDG_CONFIG_HOME", "")
+    config = config if config.startswith("/") else os.path.expanduser("~/.config")  # noqa: PTH111 - of a text
+    user_defaults = f"{config}/keymint/{DEFAULTS_FILE}" if config.startswith("/") else ""
+    named = [each for each in os.environ if each.startswith("KEYMINT_") and each.rpartition("_")[2] in _DEFAULTS]
+    variables = tuple((name, os.environ[name]) for name in sorted(named))
+    consulted = Consulted(os.environ)
+    return Call(
+        given, folder, colours, _now().timestamp(), time.time_ns(), consulted, _width(), variables, user_defaults
+    )
+
+
+def _may_have_colours(stream: TextIO) -> bool:
+    """Tell whether a stream has colours without ``--color``: no-color.org, force-color.org; the former is stronger."""
+    if os.environ.get("NO_COLOR"):
+        return False
+    if os.environ.get("FORCE_COLOR", "0") not in ("", "0"):
+        return True
+    return stream.isatty() and os.environ.get("TERM") != "dumb"
+
+
+def _width() -> int | None:
+    """Return how many columns tables may have: ``COLUMNS``, the width of the terminal, or None if there is none."""
+    columns = os.environ.get("COLUMNS", "")
+    if columns.isdecimal() and columns.isascii() and int(columns[:9]) > 0:
+        return int(columns[:9])
+    try:
+        return os.get_terminal_size(1).columns or None if sys.stdout.isatty() else None
+    except OSError:
+        return None
 
 
 def _recalled(given: Sequence[str]) -> int | None:
@@ -252,7 +282,7 @@ def _setting(given: Sequence[str]) -> Any:
     progress = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
     ask = _ask if sys.stdin is not None and sys.stdin.isatty() else None
     agrees = _agrees if ask and sys.stderr.isatty() else None
-    streams = Streams(sys.stdout, sys.stderr, *call.colours, progress=progress)
+    streams = Streams(sys.stdout, sys.stderr, *call.colours, progress=progress, width=call.width)
     # The process may have been started without standard input.
     return setting(call, streams, ask, agrees, lambda most: b"" if sys.stdin is None else sys.stdin.buffer.read(most))
 

@@ -11,7 +11,7 @@ from itertools import accumulate
 
 from comarmor.errors import Origin
 from comarmor.rules import KIND_OF, PERMISSIONS, is_segment
-from comarmor.text import did_you_mean, quote
+from comarmor.text import did_you_mean, natural_order, quote
 from keymint.errors import KeymintError, usage_error
 
 MAX_SEGMENT = 200
@@ -77,7 +77,7 @@ def _illegal(message: str, help_: str = "", code: str = "name-illegal") -> Keymi
 def subject_list(subjects: Sequence[str]) -> str:
     """Return subjects in one line: ``/a, /b``; of many the first, and how many more."""
     more = len(subjects) - _LISTED
-    return ", ".join(subjects[:_LISTED]) + (f" and {more} more" if more > 0 else "")
+    return ", ".join(sorted(subjects, key=natural_order)[:_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
 def refuse_case_collisions(names: Iterable[str]) -> None:

@@ -11,11 +11,12 @@ import copy
 import functools
 import inspect
 import math
+import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, cast
 
 import click
 from click.core import ParameterSource
@@ -27,9 +28,12 @@ from keymint.api import GraphSource
 from keymint.api.plugin_loader import Plugins
 from keymint.command_line.verb_group import help_all
 from keymint.errors import KeymintError, usage_error
+from keymint.output.console import COLOURS
 from keymint.output.report import Report, findings_exit, findings_if
 from keymint.run.run import Run, Setting
+from keymint.view.recorded_answers import DEFAULTS_FILE
 from keymint.workspace.shipped_profiles import UnacceptedPackagesError
+from keymint.workspace.workspace import PROFILE_MARKER
 
 __all__ = [
     "FILE", "PATH", "Number", "OptionGroup", "PluginOption", "Report", "Run", "argument", "findings_exit",
@@ -59,7 +63,7 @@ def verb(
         common: which common options it has; see :func:`common_options`.
     """
     shared = list(common_options(**common))
-    names = {"jobs", *(option.name for option in shared)}  # 'check' declares --jobs itself
+    names = {"jobs", "defaults", *(option.name for option in shared)}  # 'check' declares --jobs itself
 
     def decorate(function: Verb) -> click.Command:
         own_name = name or function.__name__.removeprefix(f"{of}_")
@@ -72,12 +76,16 @@ def verb(
         ]
 
         def command(context: click.Context, /, **options: Any) -> None:
+            setting: Setting = context.find_root().obj()
+            defaults, problem = _defaults(context, setting, said)
+            options |= defaults
             common = {key: options.pop(key) for key in list(options) if key in names}
             hints = tuple(_renamed(context, options, now, before) for now, before in renamed)
             options |= {key: group.taken(options) for key, group in groups.items()}
-            setting: Setting = context.find_root().obj()
             run = Run(setting, said, common)
             try:
+                if problem:
+                    raise problem
                 require_known_plugins(context, run.plugins)
                 report = function(run, **options)
             except UnacceptedPackagesError as error:
@@ -115,6 +123,37 @@ def _renamed(
     options[str(now.name)] = (*options[str(now.name)], *value) if isinstance(value, tuple) else value
     message = f"the option {'/'.join(before.opts)} is called {now.opts[-1]} now"
     return Diagnostic.warning("option-renamed", message, None, "write the new name: the next release has no other")
+
+
+def _defaults(context: click.Context, setting: Setting, verb: str) -> tuple[dict[str, Any], KeymintError | None]:
+    """Return the values of options that variables and files of defaults set, and what is wrong with these."""
+    color = context.find_root().params.get("color")
+    before = {"color": color} if color and not context.params.get("color") else {}
+    files = default_files(setting, context.params.get("workspace"))
+    if not setting.call.variables and not files:
+        return before, None
+    from keymint.command_line.defaults import load_defaults, with_defaults  # noqa: PLC0415 - few users have any
+
+    try:
+        group = cast("click.Group", context.find_root().command)
+        defaults = load_defaults(setting.call.variables, files, group)
+        return with_defaults(context, verb, defaults) | before | {"defaults": defaults}, None
+    except KeymintError as error:
+        return before, error
+
+
+def default_files(setting: Setting, named: Path | None) -> Mapping[str, str]:
+    """Return the files of defaults that exist: of the workspace, and of the user.
+
+    Args:
+        setting: the environment of the run.
+        named: the workspace that the command line names, or None.
+    """
+    start = os.path.realpath(setting.cwd / (named or "."))
+    above = (start, *map(str, Path(start).parents))
+    roots = (folder for folder in above if os.path.lexists(f"{folder}/profile/{PROFILE_MARKER}"))
+    files = {"workspace": f"{next(roots, start)}/{DEFAULTS_FILE}", "user": setting.call.user_defaults}
+    return {source: file for source, file in files.items() if os.path.lexists(file)}
 
 
 def _unaccepted_report(run: Run, error: UnacceptedPackagesError) -> Report:
@@ -311,6 +350,7 @@ def common_options(
             help="Workspace directory [the one that contains the current directory].",
         )
     yield click.Option(["--json", "as_json"], is_flag=True, help="Print one JSON document (docs/json.md).")
+    yield click.Option(["--color"], type=click.Choice(COLOURS), help="Colours; auto: on a terminal [auto].")
     yield click.Option(["-v", "--verbose"], count=True, help="Show every step, file, message and note.")
     yield click.Option(["-q", "--quiet"], is_flag=True, help="Show errors only.")
     for space in SPACES if workspace else ():

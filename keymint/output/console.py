@@ -11,15 +11,18 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from datetime import datetime
+from operator import attrgetter
 from typing import IO, Any, TypeVar
 
 from comarmor.errors import Diagnostic, Severity
-from comarmor.text import encodable_value, one_line, printable_lines, quantity
+from comarmor.text import encodable_value, natural_order, one_line, printable_lines, quantity
 from comarmor.values import dataclass
 from keymint.host.streams_and_signals import Output
 from keymint.output.report import Report, report_json, rolled_up
 from keymint.store.changes import Action, Step
 
+COLOURS = ("auto", "always", "never")
+"""Values of ``--color``."""
 _COLOURS: Mapping[Severity, str] = {
     Severity.ERROR: "31",
     Severity.WARNING: "33",
@@ -40,6 +43,7 @@ class Streams:
         colour_out: ``out`` may have colours.
         colour_err: ``err`` may have colours.
         progress: ``err`` is a terminal that a progress bar may be drawn on.
+        width: columns of a table; None if ``out`` is no terminal: about 80, but words stay in one piece.
     """
 
     out: IO[str]
@@ -47,6 +51,7 @@ class Streams:
     colour_out: bool = False
     colour_err: bool = False
     progress: bool = False
+    width: int | None = None
 
 
 class Console:
@@ -88,7 +93,7 @@ class Console:
                 nonlocal bar
                 number = next(done)
                 if bar is None and clock() - start >= _PROGRESS_AFTER:
-                    bar = stack.enter_context(_bar(self._streams.err))
+                    bar = stack.enter_context(_bar(self._streams))
                     bar.add_task(step.stage, total=total)
                 if bar is not None:
                     bar.update(bar.task_ids[0], completed=number, description=step.stage)
@@ -127,7 +132,7 @@ class Console:
             diagnostics: the diagnostics.
             notes: whether notes are shown although the output is not verbose, or the codes of those that are.
         """
-        for diagnostic, number in self._rolled_up(diagnostics):
+        for diagnostic, number in self._rolled_up(_in_order(diagnostics, "code", "subject")):
             self._diagnostic(
                 diagnostic, number, notes=notes is True or (notes is not False and diagnostic.code in notes)
             )
@@ -184,24 +189,37 @@ class Console:
         if not self._json and self._verbosity >= 0:
             self._streams.out.write(_paint(text, colour, colour=bool(colour) and self._streams.colour_out) + "\n")
 
-    def table(self, columns: Mapping[str, str], rows: Iterable[Mapping[str, Any]]) -> None:
-        """Show a table as aligned text, one line per row.
+    def table(
+        self,
+        columns: Mapping[str, str],
+        rows: Iterable[Mapping[str, Any]],
+        shorter: Callable[[str], str] | None = None,
+    ) -> None:
+        """Show a table as aligned text, one line per row; cells of a table that is too wide are folded.
 
         Args:
             columns: the member of the rows that each column has, by its title.
             rows: data as for ``--json``; what is missing, none or empty is shown as ``-``.
+            shorter: returns what a cell has if the table is too wide.
         """
         if self._json or self._verbosity < 0:
             return
         lines = [[*columns], *([_cell(row.get(member)) for member in columns.values()] for row in rows)]
+        room = (self._streams.width or _WIDTH) - 2 * (len(columns) - 1)
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+        if sum(widths) > room and shorter:
+            lines = [list(map(shorter, line)) for line in lines]
+            widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+        if sum(widths) > room:
+            widths = _narrowed(lines, widths, room, breaks=self._streams.width is not None)
         for index, line in enumerate(lines):
-            text = "  ".join(map(str.ljust, line, widths)).rstrip()
-            self._line(text, "1" if index == 0 else "")
+            for part in itertools.zip_longest(*map(_folded, line, widths), fillvalue=""):
+                text = "  ".join(map(str.ljust, part, widths)).rstrip()
+                self._line(text, "1" if index == 0 else "")
 
     def _steps(self, report: Report) -> None:
         told = [step for step in report.steps if step.action is not Action.UNCHANGED or self._verbosity > 0]
-        for step, number in self._rolled_up(told):
+        for step, number in self._rolled_up(_in_order(told, "stage", "package")):
             name = step.package or step.detail
             if number > 1:
                 name = f"{number:,} {'packages' if step.package else 'items'}, e.g. {name}"
@@ -235,6 +253,21 @@ class Console:
         self._streams.err.flush()
 
 
+def _in_order(items: Sequence[_T], kind: str, name: str) -> list[_T]:
+    """Return items with neighbours of one kind in the order of their names: r2 before r10.
+
+    Those that are not sorted by the characters of their names are in another order, e.g. of lines, and stay in it.
+    """
+    ordered: list[_T] = []
+    names = attrgetter(name)
+    groups: Iterable[tuple[Any, Iterator[_T]]] = itertools.groupby(items, attrgetter(kind))
+    for _, group in groups:
+        own = list(group)
+        is_sorted = all(names(one) <= names(other) for one, other in itertools.pairwise(own))
+        ordered += sorted(own, key=lambda each: natural_order(names(each))) if is_sorted and len(own) > 1 else own
+    return ordered
+
+
 def _cell(value: Any) -> str:
     """Return a value in a table: a moment as its day, several values with blanks between them."""
     match value:
@@ -249,6 +282,35 @@ def _cell(value: Any) -> str:
     return one_line(str(value))
 
 
+_WIDTH, _NARROWEST = 80, 8
+"""Columns of a table that goes to no terminal; columns of a table are not made narrower than the second."""
+
+
+def _narrowed(lines: Sequence[Sequence[str]], widths: Sequence[int], room: int, *, breaks: bool) -> list[int]:
+    """Return smaller widths of columns: the widest give way, down to their longest word, or below."""
+    narrowed = [*widths]
+    least = [max(len(word) for cell in column for word in cell.split(" ")) for column in zip(*lines, strict=True)]
+    if breaks and sum(least) > room:
+        least = [min(_NARROWEST, width) for width in widths]
+    while sum(narrowed) > room and narrowed != least:
+        index = max(range(len(narrowed)), key=lambda index: (narrowed[index] > least[index], narrowed[index]))
+        narrowed[index] -= 1
+    return narrowed
+
+
+def _folded(cell: str, width: int) -> Iterator[str]:
+    """Yield the lines of a cell: it is folded at blanks, else after slashes, and only in want of both elsewhere."""
+    while len(cell) > width:
+        blank, slash = cell.rfind(" ", 0, width + 1), cell.rfind("/", 0, width) + 1
+        if blank > 0 and len(cell[blank + 1 :].partition(" ")[0]) <= width:
+            cut = blank
+        else:
+            cut = slash if slash > width // 2 else width
+        yield cell[:cut].rstrip()
+        cell = cell[cut:].lstrip()
+    yield cell
+
+
 def _others(number: int) -> str:
     """Return how many lines a line stands for."""
     return f" (1 of {number:,} alike; -v shows all)" if number > 1 else ""
@@ -258,9 +320,10 @@ def _paint(text: str, code: str, *, colour: bool) -> str:
     return f"\033[{code}m{text}\033[0m" if colour else text
 
 
-def _bar(stream: IO[str]) -> Any:
+def _bar(streams: Streams) -> Any:
     """Return a progress bar."""
     from rich.console import Console as RichConsole  # noqa: PLC0415 - slow, and only for long work
     from rich.progress import Progress  # noqa: PLC0415
 
-    return Progress(console=RichConsole(file=stream, force_terminal=True), transient=True)
+    console = RichConsole(file=streams.err, force_terminal=True, no_color=not streams.colour_err)
+    return Progress(console=console, transient=True)

@@ -101,9 +101,15 @@ class Run:
         self.yes: bool = options.get("yes", False)
         """The user agrees to what the run would ask for."""
         self.jobs: int = options.get("jobs") or setting.cores
+        self.defaults: Sequence[Any] = options.get("defaults", ())
+        """What variables and files set, see :class:`keymint.command_line.defaults.Default`; the strongest first."""
+        self.verbosity: int = -1 if options["quiet"] else options["verbose"]
+        streams, color = setting.streams, options.get("color") or "auto"
+        if color != "auto":
+            streams = replace(streams, colour_out=color == "always", colour_err=color == "always")
         self.console = Console(
-            setting.streams,
-            verbosity=-1 if options["quiet"] else options["verbose"],
+            streams,
+            verbosity=self.verbosity,
             as_json=options["as_json"],
         )
         self._agrees = None if options["quiet"] or options["as_json"] else setting.agrees

@@ -35,6 +35,8 @@ VERBS = ("create", "build", "install", "provision", "status")
 """The verbs whose answers are recorded."""
 _RECORDS, _RECORD, _MARK = ".keymint", "state.json", "running"
 _PROFILE = "profile/keymint_profile.xml"
+DEFAULTS_FILE = "keymint.toml"
+"""Name of the files with defaults of options; that of a workspace is at its root."""
 _UNRECORDED = ("--hints", "--profile-space", "--new-authority", "--rekey", "--from", "--state", "--force", "-f")
 """Options of commands that do something each time, or read more than what is recorded."""
 _VARIABLES = {"ROS_DISTRO", "AMENT_PREFIX_PATH"}
@@ -61,6 +63,9 @@ class Call(NamedTuple):
         now: the time of the run, in seconds.
         started: the clock of the system, in nanoseconds.
         environment: environment variables.
+        width: columns of a table; None if it goes to no terminal.
+        variables: environment variables that may be defaults of options.
+        user_defaults: the file with the user's defaults of options; empty if there is no home directory.
     """
 
     arguments: Sequence[str]
@@ -69,6 +74,9 @@ class Call(NamedTuple):
     now: float
     started: int
     environment: Consulted
+    width: int | None = None
+    variables: Sequence[tuple[str, str]] = ()
+    user_defaults: str = ""
 
 
 class Answer(NamedTuple):
@@ -219,7 +227,8 @@ def record(
     # A profile would make a folder between the root and the current directory a workspace.
     below = _upward(call.cwd if f"{call.cwd}/".startswith(f"{root}/") else "")
     profiles = (f"{folder}/{_PROFILE}" for folder in takewhile(lambda folder: folder != root, below))
-    others = {path: path_status(path) for path in (*elsewhere, *profiles)}
+    defaults = (f"{root}/{DEFAULTS_FILE}", call.user_defaults)
+    others = {path: path_status(path) for path in (*elsewhere, *profiles, *defaults)}
     own = path_status(state)
     ticks = {newest: _TICK if newest % 1_000_000_000 else _COARSE_TICK for _, newest in others.values()}
     if (
@@ -282,7 +291,8 @@ def _identity(call: Call, root: str, variables: Iterable[str]) -> str:
     """Return a digest of who gives which command where, and of the installed software."""
     values = [(name, call.environment.get(name)) for name in sorted(variables)]
     user = os.geteuid(), os.getegid(), sorted(os.getgroups())
-    command = list(call.arguments), call.cwd, call.colours, root, values, user
+    shown = call.colours, call.width, call.variables, call.user_defaults
+    command = list(call.arguments), call.cwd, shown, root, values, user
     return hashlib.sha256(repr((command, __version__, sys.version, list(_installed()))).encode()).hexdigest()
 
 

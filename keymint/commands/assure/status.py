@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta
@@ -11,6 +12,7 @@ from typing import Any
 import click
 
 from comarmor.errors import Diagnostic
+from comarmor.text import natural_order
 from keymint.api import LoadedPolicy
 from keymint.authority.authority_files import elsewhere
 from keymint.command_line.options import Names, names_group, strict_option
@@ -65,13 +67,8 @@ def status(
         chosen = frozenset(names.selection(run).packages(session, [row.package for row in rows]))
         rows = [row for row in rows if row.package in chosen]
     elif policy:
-        known = {row.package for row in rows}
-        wanted = {*packages_to_create(session, policy)}
-        try:
-            wanted |= session.needed_infrastructure().keys()
-        except KeymintError as error:
-            diagnostics += error.diagnostics
-        missing = sorted(wanted - known)
+        missing = _missing(session, policy, rows, diagnostics)
+    defaults = _defaults(run) if run.verbosity > 0 and kind == "table" else ()
     shared = [] if names else [_as_typed(run, row) for row in shared_rows(session)]
 
     def show(console: Console) -> None:
@@ -79,6 +76,9 @@ def status(
             console.lines(openmetrics(gauges(session, rows)))
         else:
             _show(console, session.now, rows, missing, shared, named=bool(names))
+        if defaults:
+            console.line()
+            console.table({"OPTION": "name", "DEFAULT": "value", "FROM": "from"}, defaults)
 
     show(run.console)
     result = {
@@ -92,9 +92,35 @@ def status(
     result["not_examined"] = len(unexamined)
     exit_code = findings_if(strict and outliving)
     report = run.report(result, diagnostics, exit_code, workspace=session.workspace, notes=True)
+    if defaults:
+        shown = ("option", "verb", "value", "source", "place")
+        result["defaults"] = [{name: each[name] for name in shown} for each in defaults]
     if not diagnostics:
         run.remember(session, _changes([*rows, *shared], session.now), report, show)
     return report
+
+
+def _missing(
+    session: Session, policy: LoadedPolicy, rows: Sequence[StatusRow], diagnostics: list[Diagnostic]
+) -> list[str]:
+    """Return the packages that the policy names but that do not exist; errors are added to the diagnostics."""
+    wanted = {*packages_to_create(session, policy)}
+    try:
+        wanted |= session.needed_infrastructure().keys()
+    except KeymintError as error:
+        diagnostics += error.diagnostics
+    return sorted(wanted - {row.package for row in rows})
+
+
+def _defaults(run: Run) -> list[dict[str, Any]]:
+    """Return what options are if they are not given, and where that comes from, with the words for a table."""
+    from keymint.command_line.defaults import default_rows  # noqa: PLC0415 - only with -v
+
+    rows = [{**each, "place": each["place"] and run.typed(each["place"])} for each in default_rows(run.defaults)]
+    return [
+        {**each, "name": f"{each['verb'] or ''} {each['option']}".strip(), "from": each["place"] or each["source"]}
+        for each in rows
+    ]
 
 
 def _log(run: Run) -> Report:
@@ -146,11 +172,13 @@ def _show(
     """Show a table, and the problems."""
     columns = ("PACKAGE", "STAGE", "STALE", "CERTIFICATE", "PERMISSIONS", "RENEW AFTER")
     cells = []
-    for row in (*rows, *(StatusRow(name, "-", "create") for name in missing), *shared):
+    own = (*rows, *(StatusRow(name, "-", "create") for name in missing))
+    for row in (*sorted(own, key=lambda each: natural_order(each.package)), *shared):
         title = row.package or ", ".join(row.documents) or row.build_type or "shared documents"
         ends = (_when(row.certificate_expires, now), _when(row.permissions_expire, now), _renewal(row, now))
         cells.append(dict(zip(columns, (title, row.stage, row.stale, *ends), strict=True)))
-    console.table(dict(zip(columns, columns, strict=True)), cells)
+    # A narrow table has no days of dates that are not over or due yet.
+    console.table(dict(zip(columns, columns, strict=True)), cells, lambda cell: re.sub(r" \([0-9]+ d\)$", "", cell))
     problems = [(row.package or row.build_type or "shared documents", row.problem) for row in (*rows, *shared)]
     console.messages([f"{whose}: {problem}" for whose, problem in problems if problem])
     if not cells and not named:

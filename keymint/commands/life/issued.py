@@ -8,7 +8,7 @@ from datetime import datetime
 from functools import partial
 from typing import Any
 
-from comarmor.text import hexadecimal
+from comarmor.text import hexadecimal, natural_order
 from keymint.command_line.named_packages import Selection
 from keymint.command_line.options import Names, names_group
 from keymint.command_line.verb import Report, Run, flag, verb
@@ -53,6 +53,7 @@ def issued_certificates(
     documents = [certificate_json(each) for each in entries]
     columns = {"SUBJECT": "subject", "GENERATION": "generation", "SERIAL": "serial", "ISSUED": "issued"}
     rows = [each | {"state": _state(each, session.now)} for each in documents]
+    rows.sort(key=lambda each: natural_order(each["subject"] or ""))
     run.console.table(columns | {"NOT AFTER": "not_after", "STATE": "state"}, rows)
     if not rows:
         run.console.line("no certificates")
