@@ -104,7 +104,7 @@ def marks_of(drawn: SimplifiedGraph) -> Mapping[NodeKey, str]:
     for key in drawn.members:
         count = len(drawn.copies[key])
         if key in drawn.others:
-            marks[key].append(f"{count} alike, of another")
+            marks[key].append(f"{count} alike, of every other robot")
         elif count > 1:
             marks[key].append(f"{count} alike")
     return {key: ", ".join(words) for key, words in marks.items() if words}
