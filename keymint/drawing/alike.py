@@ -13,9 +13,9 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 
+from comarmor.text import natural_order
 from comarmor.values import dataclass
 from keymint.api.graph import DomainObject
-from keymint.drawing.appearance import natural
 from keymint.drawing.labelled_graph import LabelledEdge
 
 _DEEPEST = 6
@@ -101,7 +101,7 @@ class _Level:
     def __init__(self, things: Sequence[_Thing], depth: int) -> None:
         self._depth = depth
         names = {self.robot(thing) for thing in things if isinstance(thing, str)}
-        self._robots = sorted(names - {""}, key=natural)
+        self._robots = sorted(names - {""}, key=natural_order)
         self._known = frozenset(self._robots)
         self._lengths = sorted({len(_words(robot)) for robot in self._robots}, reverse=True)
         self._read = functools.cache(self._reading)

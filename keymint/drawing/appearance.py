@@ -77,11 +77,6 @@ def object_name(object_: Object, domain: int = 0) -> str:
     return one_line(object_.name + suffix)
 
 
-def natural(name: str) -> list[tuple[int, str]]:
-    """Return a key that sorts numbers in names by value: ``r2`` before ``r10``."""
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d{1,18})", name)]
-
-
 def shorten(text: str, longest: int = _LONGEST) -> str:
     """Return text with its middle replaced by ``…`` if it has more than ``longest`` characters.
 

@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import zip_longest
 
 from comarmor.text import one_line, quantity
 from keymint.api.graph import DomainObject, EdgeOutcome
 from keymint.drawing.alike import Alike
-from keymint.drawing.appearance import KINDS, SHORT_OUTCOMES, natural
+from keymint.drawing.appearance import KINDS, SHORT_OUTCOMES
 from keymint.drawing.labelled_graph import LabelledGraph, namespace
 from keymint.drawing.layout import NodeKey
 from keymint.drawing.simplify import LeftOut, SimplifiedGraph
@@ -29,15 +31,17 @@ def _runs(names: Sequence[str]) -> Iterator[str]:
     """Yield names in natural order, with those that are numbered one after the other as one."""
     begin = 0
     for at, name in enumerate(names):
-        if at + 1 == len(names) or not _follows(natural(name), natural(names[at + 1])):
+        if at + 1 == len(names) or not _follows(name, names[at + 1]):
             yield name if at == begin else f"{names[begin]} to {name}"
             begin = at + 1
 
 
-def _follows(before: list[tuple[int, str]], after: list[tuple[int, str]]) -> bool:
+def _follows(before: str, after: str) -> bool:
     """Tell whether two names differ only in one number, by one."""
-    differing = [(one, other) for one, other in zip(before, after, strict=False) if one != other]
-    return len(before) == len(after) and len(differing) == 1 and differing[0][1][0] - differing[0][0][0] == 1
+    pairs = [*zip_longest(*(re.split(r"([0-9]{1,18})", name) for name in (before, after)), fillvalue="")]
+    differing = [pair for pair in pairs if pair[0] != pair[1]]
+    numbers = [int(part) for part in differing[0] if part.isdecimal()] if len(differing) == 1 else []
+    return len(numbers) > 1 and numbers[0] + 1 == numbers[1]
 
 
 def left_out_words(left_out: Mapping[LeftOut, int]) -> str:

@@ -14,10 +14,10 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import accumulate
 
-from comarmor.text import one_line
+from comarmor.text import natural_order, one_line
 from comarmor.values import dataclass
 from keymint.api.graph import DomainObject
-from keymint.drawing.appearance import KINDS, columns, natural, object_name, shorten
+from keymint.drawing.appearance import KINDS, columns, object_name, shorten
 from keymint.drawing.labelled_graph import LabelledEdge
 
 CHARACTER = 7.3
@@ -174,7 +174,7 @@ def lay_out(
 
 
 def _rank(key: DomainObject) -> tuple[object, ...]:
-    return list(KINDS).index(key[1].kind), key[0], natural(key[1].name), key
+    return list(KINDS).index(key[1].kind), key[0], natural_order(key[1].name), key
 
 
 # -- order -----------------------------------------------------------------------------------------------------------

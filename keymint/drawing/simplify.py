@@ -14,10 +14,11 @@ from enum import StrEnum
 from itertools import islice
 
 from comarmor.rules import PARTS
+from comarmor.text import natural_order
 from comarmor.values import dataclass
 from keymint.api.graph import DomainObject, Edge, EdgeOutcome, Object
 from keymint.drawing.alike import Alike, AlikeFold, fold_alike
-from keymint.drawing.appearance import Theme, natural
+from keymint.drawing.appearance import Theme
 from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, namespace
 
 FOLD_FROM = 40
@@ -147,7 +148,7 @@ def simplify(labelled: LabelledGraph, options: DrawingOptions) -> SimplifiedGrap
         options,
         shown,
         {one: stands[one] for one in shown},
-        dict(sorted(folded.subjects.items(), key=lambda each: natural(each[0]))),
+        dict(sorted(folded.subjects.items(), key=lambda each: natural_order(each[0]))),
         folded.classes,
         folded.others,
         marks,

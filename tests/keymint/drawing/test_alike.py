@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from keymint.api.graph import Edge, Object
-from keymint.drawing.alike import fold_alike
-from keymint.drawing.appearance import natural
+from keymint.drawing.alike import Alike, fold_alike
 from keymint.drawing.captions import alike_words
 from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph
 
@@ -141,8 +140,11 @@ def test_robots_that_are_drawn_as_one_may_be_exchanged(drawn: list[tuple[str, st
     assert sorted(name for names in folded.subjects.values() for name in names) == list(graph.subjects)
 
 
-def test_numbers_are_in_order() -> None:
-    assert sorted(["/r10", "/r2", "/r1/b", "/r1/a", "/漢字"], key=natural) == ["/r1/a", "/r1/b", "/r2", "/r10", "/漢字"]
+def test_a_caption_names_runs_of_numbers() -> None:
+    names = ("/a", "/r1/b1", "/r1/b2", "/r2/b3", "/r", "/r08", "/r9", "/r10", "/r12")
+    assert alike_words(Alike("/a", names, single=True)) == (
+        "9 subjects like /a (/a, /r1/b1 to /r1/b2, /r2/b3, /r, /r08 to /r10, /r12)"
+    )
 
 
 def test_a_fleet_with_one_denial() -> None:
