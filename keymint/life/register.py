@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import zlib
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import Field, field, fields, replace
 from datetime import UTC, datetime
 from typing import Any
@@ -319,16 +319,23 @@ def _entries(database: Any, table: str, version: int) -> tuple[Any, ...]:
     """
     own = [each for each in fields(_TABLES[table]) if _SINCE.get(each.name, 0) <= version]
     rows = database.execute(f"SELECT {', '.join(each.name for each in own)} FROM {table} ORDER BY number")  # noqa: S608 - constants
-    return tuple(_TABLES[table](*map(_value, own, row)) for row in rows)
+    values = [*map(_values, own, zip(*rows, strict=True))]  # a column each; none if there are no rows
+    return tuple(map(_TABLES[table], *values)) if values else ()
 
 
-def _value(field: Field[Any], stored: Any) -> Any:
-    if not isinstance(stored, _column(field)[1]):
+def _values(field: Field[Any], stored: Sequence[Any]) -> Sequence[Any]:
+    """Return the values of a field from those of its column."""
+    if not all(issubclass(kind, _column(field)[1]) for kind in set(map(type, stored))):
         raise TypeError
     if field.name == _SERIAL:
-        return int(stored, 16)
-    if stored is None or "datetime" not in str(field.type):
+        return [int(each, 16) for each in stored]
+    if "datetime" not in str(field.type):
         return stored
+    return [None if each is None else _moment(each) for each in stored]
+
+
+@functools.lru_cache(maxsize=256)  # many were issued at once
+def _moment(stored: str) -> datetime:
     if (moment := datetime.fromisoformat(stored)).tzinfo is None:
         raise ValueError
     return moment.astimezone(UTC)
