@@ -15,19 +15,21 @@ MOST = 200
 _ADDRESS_SPACE = 4 << 30
 """Bytes that a run may allocate: a reader without a bound must not take the machine with it."""
 _RUN = """
-import atexit, os, resource, sys
+import os, resource, sys
 resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[1]),) * 2)
 report = int(sys.argv[2])
 del sys.argv[1:3]
 
-@atexit.register
 def say():
     # Unlike ru_maxrss, this is not what the process had before it ran Python.
     own = next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith("VmHWM"))
     os.write(report, b"%d" % max(own, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss))
 
 from keymint.__main__ import main
-main()
+try:
+    main()
+finally:
+    say()
 """
 
 
