@@ -17,16 +17,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from comarmor.values import dataclass
 from keymint.errors import KeymintError
-from keymint.view.file_reading import (
-    MAX_FILE,
-    REGISTER,
-    FileStatus,
-    linked_file,
-    lstat,
-    read_error,
-    read_file,
-    read_open_file,
-)
+from keymint.view import file_reading
+from keymint.view.file_reading import MAX_FILE, REGISTER, FileStatus, linked_file, lstat, read_error, read_file
 from keymint.view.stamps import CompactMapping, digest
 
 if TYPE_CHECKING:
@@ -344,7 +336,7 @@ class Tree:
     def _opened(self, path: str) -> bytes | None:
         """Read a file, and keep the status that it has when it is opened."""
         try:
-            content, self._statuses[path] = read_open_file(path) or (None, None)
+            content, self._statuses[path] = file_reading.read_open_file(path) or (None, None)
         except KeymintError:
             self._statuses[path] = self._status(path)
             return self._file(path)
