@@ -8,11 +8,10 @@ enclaves share.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field, replace
 from datetime import timedelta
-from functools import partial
-from typing import Any
+from itertools import chain
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.regex import lazy_regex
@@ -196,8 +195,8 @@ def _identity_key(session: Session, package: Package, keyring: Keyring) -> tuple
     return fingerprint, ()
 
 
-LEAST = 1000
-"""Enclaves that are worth a process of their own: what it read of them, this one reads again for the proof."""
+LEAST = 128
+"""Enclaves that are worth a part of their own."""
 
 
 def check(session: Session, names: Sequence[str], within: timedelta, pool: Pool) -> tuple[Diagnostic, ...]:
@@ -214,15 +213,10 @@ def check(session: Session, names: Sequence[str], within: timedelta, pool: Pool)
     loaded = [load(session, name, within) for name in names]
     first = [examine(session, each, keyring) for each in loaded[:1]]  # processes have then what all enclaves need
     parts = pool.parts(loaded[1:], LEAST)
-    tasks: list[Callable[[], Iterable[Any]]] = [
-        partial(outside_enclaves, session, within), partial(file_status, session), partial(git_exposure, session),
-        partial(_deciding, session),
-    ]  # fmt: skip
-    tasks += (partial(map, partial(examine, session, keyring=keyring), part) for part in parts)
-    alone = len(parts) <= 1
-    found = (tuple(task()) for task in tasks) if alone else pool.map(_carry_out, tasks)
-    around, of_files, of_git, decides, *examined = found
-    enclaves: list[tuple[str, str, Sequence[Diagnostic]]] = [each for part in (first, *examined) for each in part]
+    rest = pool.map(lambda part: [examine(session, each, keyring) for each in part], parts)
+    enclaves = [*first, *chain.from_iterable(rest)]
+    around, of_files, of_git = tuple(outside_enclaves(session, within)), file_status(session), git_exposure(session)
+    decides = _deciding(session)
     findings = [finding for _, _, of_enclave in enclaves for finding in of_enclave]
     seen = [each.seen for each in loaded if not each.is_absent]
     for build_type in sorted({name for of_enclave in seen for name in of_enclave}):
@@ -264,10 +258,6 @@ def _of_second_keystore(
 
 _OF_RECORD = frozenset({"record-missing", "key-missing"})
 """Codes of findings on what nobody records, or has, of a second keystore."""
-
-
-def _carry_out(task: Callable[[], Iterable[Any]]) -> tuple[Any, ...]:
-    return tuple(task())
 
 
 _INSTALLS = lazy_regex(r"'keymint (install|provision)")

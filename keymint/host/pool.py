@@ -7,9 +7,12 @@ import gc
 import signal
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import pairwise
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from keymint.errors import process_ended
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -19,7 +22,7 @@ PARTS_FOR_EACH = 4
 
 
 class Pool:
-    """Carries out tasks, in processes that are forked for each call with more than one task.
+    """Carries out tasks, in this process and others, which are forked for each call with more than one task.
 
     Args:
         size: number of tasks that it carries out at a time.
@@ -44,40 +47,57 @@ class Pool:
         Raises:
             KeymintError: the work fails, or a process that carries it out is lost.
         """
-        # A forked process has the tasks already: they need not be sent to it.
         tasks = tuple(tasks)
         count = min(self.size, len(tasks))
         if count < 2:  # noqa: PLR2004 - nothing to do at the same time
             yield from map(work, tasks)
             return
-        from concurrent.futures import ProcessPoolExecutor  # noqa: PLC0415 - few runs need it
-        from concurrent.futures.process import BrokenProcessPool  # noqa: PLC0415
-        from multiprocessing import get_context  # noqa: PLC0415
+        from multiprocessing import get_context  # noqa: PLC0415 - few runs need it
 
-        _inherited.append(lambda at: work(tasks[at]))
-        executor = ProcessPoolExecutor(count, get_context("fork"), _begin)
+        context, pipes = get_context("fork"), []
+        for number in range(count - 1):
+            here, there = context.Pipe(duplex=False)
+            # A forked process has the tasks already: they need not be sent to it.
+            context.Process(target=_answer, args=(there, work, tasks[number::count]), daemon=True).start()
+            there.close()
+            pipes.append(here)
+        own = _results(work, tasks[count - 1 :: count])
+        found = [*map(_received, pipes), own]
+        for at in range(len(tasks)):
+            result, error = found[at % count][at // count]
+            if error is not None:
+                raise error
+            yield result
+
+
+_Results = list[tuple[Any, Exception | None]]
+"""Results of tasks, up to the first that failed."""
+
+
+def _results(work: Callable[[Any], Any], tasks: Iterable[Any]) -> _Results:
+    found: _Results = []
+    for task in tasks:
         try:
-            yield from executor.map(_numbered, range(len(tasks)))
-        except BrokenProcessPool as error:
-            raise process_ended("executor-lost") from error
-        finally:
-            executor.shutdown(cancel_futures=True)
-            _inherited.pop()
+            found.append((work(task), None))
+        except Exception as error:  # noqa: BLE001 - raised where the results come together
+            return [*found, (None, error)]
+    return found
 
 
-_inherited: list[Callable[[int], Any]] = []
-"""What forked processes carry out: a function of the number of a task."""
-
-
-def _numbered(at: int) -> Any:
-    return _inherited[-1](at)
-
-
-def _begin() -> None:
-    """Leave it to the process that the user started to end the run; it ends its processes too."""
+def _answer(pipe: Connection, work: Callable[[Any], Any], tasks: Iterable[Any]) -> None:
+    """Carry out tasks in a process of its own; it is left to the one that the user started to end the run."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     gc.freeze()  # a search for cycles among the parent's objects would copy their pages
+    pipe.send(_results(work, tasks))
+
+
+def _received(pipe: Connection) -> _Results:
+    try:
+        found: _Results = pipe.recv()
+    except EOFError as error:
+        raise process_ended("executor-lost") from error
+    return found
 
 
 def divide(items: Sequence[Task], number: int) -> list[Sequence[Task]]:
