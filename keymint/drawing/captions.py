@@ -8,7 +8,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import zip_longest
 
-from comarmor.text import one_line, quantity
+from comarmor.text import first_few, one_line, quantity
 from keymint.api.graph import DomainObject, EdgeOutcome
 from keymint.drawing.alike import Alike
 from keymint.drawing.appearance import KINDS, SHORT_OUTCOMES
@@ -73,8 +73,13 @@ def size_words(labelled: LabelledGraph) -> str:
     return ", ".join(quantity(count, noun) for count, noun in counts)
 
 
+def unnamed_words(unnamed: Sequence[str]) -> str:
+    """Return which subjects have rights, but no name to draw them by."""
+    return one_line(f"not drawn: rights of other subjects like {first_few(unnamed)} (--subject NAME draws one)")
+
+
 def subtitle(drawn: SimplifiedGraph) -> str:
-    """Return the caption of a picture: what there is, and how it is drawn; nothing is left out in silence."""
+    """Return the caption of a picture: what there is, and how it is drawn; no edge is left out in silence."""
     labelled, transport = drawn.labelled, drawn.options.transport
     notes = [size_words(labelled)]
     if labelled.transports:
@@ -82,6 +87,8 @@ def subtitle(drawn: SimplifiedGraph) -> str:
         which = transports[0] if len(transports) == 1 else "all transports"
         false = sum(one.outcome(transport).false for one in labelled.edges)
         notes.append(f"{one_line(which)} compared with the policy: {quantity(false, 'mismatch')}")
+    if labelled.unnamed:
+        notes.append(unnamed_words(labelled.unnamed))
     largest = sorted(drawn.alike, key=lambda each: -len(each.names))
     notes += (f"{alike_words(each)}, equal up to the name, are drawn as one" for each in largest[:_MOST_RUNS])
     if len(largest) > _MOST_RUNS:
@@ -95,7 +102,7 @@ def subtitle(drawn: SimplifiedGraph) -> str:
         count = sum(drawn.left_out.values())
         notes.append(f"NOT DRAWN: {count} of {labelled.total} edges: {left_out_words(drawn.left_out)}")
     elif drawn.folded:
-        notes.append("nothing is left out")
+        notes.append("no edge is left out")
     return "; ".join(notes)
 
 

@@ -97,6 +97,7 @@ class LabelledGraph:
         omitted: number of edges that this graph does not keep, by outcome and kind of their object.
         endpoints: how many of all edges are no edges of the graph, but single topics of these that a transport allows.
         probes: objects whose name was made up to probe a pattern.
+        unnamed: expressions of subjects that a policy gives rights, but does not name: no edge is theirs.
         made: what it was made of and when, in lines.
     """
 
@@ -109,6 +110,7 @@ class LabelledGraph:
     omitted: Mapping[tuple[EdgeOutcome, str], int] = field(default_factory=dict)
     endpoints: int = 0
     probes: frozenset[Object] = frozenset()
+    unnamed: tuple[str, ...] = ()
     made: tuple[str, ...] = ()
 
     @classmethod
@@ -304,7 +306,14 @@ def policy_graph(
     decided = itertools.islice(itertools.chain(to_names, to_expressions), MOST_EDGES + 1)
     edges = list(policy.labelled(decided))
     _refuse_large(len(edges))
-    return LabelledGraph.of(title, edges, chosen, patterns={edge.object for edge in asked})
+    graph = LabelledGraph.of(title, edges, chosen, patterns={edge.object for edge in asked})
+    return graph if subjects else replace(graph, unnamed=_unnamed(loaded))
+
+
+def _unnamed(policy: LoadedPolicy) -> tuple[str, ...]:
+    structure = policy.structure()
+    attachments = (text for each in (structure.profiles if structure else ()) for text, _ in each.attachments)
+    return tuple(dict.fromkeys(text for text in attachments if glob.literal(glob.parse(text)) is None))
 
 
 def _edges_to_names(

@@ -161,6 +161,7 @@ def graph(
         "subjects": labelled.subjects,
         "objects": len({each.edge.domain_object for each in labelled.edges}),
         "edges": {outcome: labelled.counts[outcome] for outcome in EdgeOutcome if labelled.counts[outcome]},
+        "unnamed": labelled.unnamed,
         **counts,
         "left_out": left_out_json(left_out),
         "content": None if output else content.decode(),

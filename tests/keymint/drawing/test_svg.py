@@ -196,7 +196,7 @@ def test_robots_that_are_alike_are_drawn_once() -> None:
     root = tree(svg(fleet(10)))
     assert sorted(texts(root)) == ["/estop", "/fleet/state", "/robot0/node0", "/robot0/node1", "39 alike"]
     assert "39 subjects like /robot0/node1 (" in root.findtext("s:desc", namespaces=NS)
-    assert "nothing is left out" in root.findtext("s:desc", namespaces=NS)
+    assert "no edge is left out" in root.findtext("s:desc", namespaces=NS)
     assert len(classes(root)) == 3
     assert "/robot0/node3\n" in root.xpath("string(//s:g[s:text='/robot0/node1']/s:title)", namespaces=NS)
     assert "/robot9/node3" in texts(tree(svg(fleet(10), DrawingOptions(fold=False, group=False))))

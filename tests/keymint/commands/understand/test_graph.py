@@ -7,11 +7,15 @@ import hashlib
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from keymint import __version__
 from keymint.api import graph_json
 from keymint.api.graph import Edge, Graph, Object
 from tests.conftest import NOW, snapshot
+from tests.effort import tries
+from tests.generated import pretty, tokens
 
 TOPIC = Object("ros_topic", "/chatter")
 
@@ -228,3 +232,40 @@ def test_a_picture_says_when_and_of_what_it_was_made(keymint, provisioned: Path,
     labelled = keymint("graph", captured, "--policy", alone, "--format", "svg").out
     assert of_graph in labelled
     assert of_file in labelled
+
+
+def test_rights_of_subjects_without_a_name_are_not_hidden(keymint, tmp_path: Path) -> None:
+    rule = (
+        "<ros_topic qualifier='ALLOW'><attachment>/t</attachment><permissions><ros_publish/></permissions></ros_topic>"
+    )
+    (tmp_path / "policy.xml").write_text(
+        f"<profiles><profile name='a'><attachment>/a</attachment>{rule}</profile>"
+        f"<profile name='b'><attachment>/cell*/arm</attachment><attachment>/b</attachment>{rule}</profile></profiles>"
+    )
+    said = "not drawn: rights of other subjects like /cell*/arm (--subject NAME draws one)"
+    for kind in ("svg", "dot", "html"):
+        result = keymint("graph", "policy.xml", "-f", kind, "--json").document["result"]
+        assert (result["subjects"], result["unnamed"]) == (["/a", "/b"], ["/cell*/arm"])
+        assert said in result["content"]
+    chosen = keymint("graph", "policy.xml", "--subject", "/cell7/arm", "--json").document["result"]
+    assert (chosen["edges"], chosen["unnamed"]) == ({"allow": 1}, [])
+
+
+@given(seed=st.integers(0, 10**6), limit=st.sampled_from([[], ["--limit", "3"], ["--group"], ["--fold", "--all"]]))
+@settings(max_examples=tries(20, 100), suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_rights_of_random_policies_are_drawn_or_folded_or_counted(
+    keymint, tmp_path: Path, seed: int, limit: list[str]
+) -> None:
+    (tmp_path / "random.xml").write_text(pretty(tokens(seed)))
+    subjects = [f"--subject={robot}/{node}" for robot in ("/r1", "/r2", "/fleet/r1") for node in ("talker", "camera")]
+    found = [
+        outcome.document["result"]
+        for arguments in ([], *([each] for each in subjects))
+        if (outcome := keymint("graph", "random.xml", *arguments, *limit, "--json")).code in {0, 3}
+    ]
+    for result in found:
+        left_out = sum(each["edges"] for each in result["left_out"])
+        assert result["drawn"] + result["folded"] + left_out == sum(result["edges"].values())
+        lines = result["content"].count('<g class="edge ')
+        assert lines == result["drawn"]
+        assert (f"NOT DRAWN: {left_out} of " in result["content"]) == (left_out > 0)
