@@ -52,7 +52,8 @@ def href_of(element: etree._Element, where: Origin, known: tuple[str, ...] = ("h
                 code="schema",
             )
     if element.get("parse", "xml") != "xml":
-        raise ComArmorError('xi:include can only have parse="xml"', where=where, code="include-parse")
+        message, help_ = 'xi:include can only have parse="xml"', 'write parse="xml", or leave it out'
+        raise ComArmorError(message, where=where, help=help_, code="include-parse")
     if len(element):
         raise ComArmorError(
             "xi:include must be empty; xi:fallback is not supported",

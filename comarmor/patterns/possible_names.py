@@ -61,8 +61,13 @@ def advice(expression: str) -> str:
     if prefix := next(filter(expression.startswith, RAW_PREFIXES), ""):
         name = f"/{expression.removeprefix(prefix)}"
         return f"write {name!r}: {prefix!r} is the prefix of the raw topic, which only a rule of kind 'topic' names"
-    if any(char in expression for char in "(|)"):
-        return "'(', '|' and ')' are literal characters: write an <attachment> for each alternative"
+    slips = {
+        "'(', '|' and ')' are literal characters: write an <attachment> for each alternative": r"[(|)]",
+        "write an <attachment> for each name, all in one <attachments>": r"[, ]",
+        "expressions are those of fnmatch, which match whole names: leave out '^' and '$'": r"^\^|\$$",
+    }
+    if slip := next((text for text, pattern in slips.items() if re.search(pattern, expression)), ""):
+        return slip
     if ".*" in expression:
         return f"expressions are those of fnmatch, not regular expressions: write {expression.replace('.*', '*')!r}"
     for candidate in (

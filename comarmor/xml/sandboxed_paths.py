@@ -104,7 +104,8 @@ class SandboxedFolder:
         except OSError:
             return ""
         names = [name for name in names if self.name(posixpath.join(parent, name)) != including]
-        return did_you_mean(missing, names)
+        below = sorted(path.relative_to(self.real).as_posix() for path in (self.real / parent).glob(f"*/{missing}"))
+        return did_you_mean(missing, names, f"did you mean {quote(below[0])}?" if len(below) == 1 else "")
 
 
 @contextmanager

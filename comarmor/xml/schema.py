@@ -119,7 +119,10 @@ def validate(root: etree._Element, owner: str, name: str, file: str, chain: tupl
     vocabulary = _vocabulary(schema)
     diagnostics: dict[Diagnostic, None] = {}
     log: Any = compiled.error_log
+    texts = {entry.path for entry in log if "Character content" in entry.message}
     for entry in log:
+        if entry.path in texts and "Missing child" in entry.message:
+            continue  # what is missing is that text, without its tags
         element = _element(root, entry.path)
         where = Origin(file, entry.line if element is None else line_in(root, element), chain)
         message, hint = _explain(entry.message, vocabulary, element)
@@ -185,9 +188,8 @@ def _root(match: re.Match[str], vocabulary: SchemaVocabulary, _e: etree._Element
 
 
 def _attribute(match: re.Match[str], vocabulary: SchemaVocabulary, _e: etree._Element | None) -> tuple[str, str]:
-    return f"<{match[1]}> has the unknown attribute '{match[2]}'", did_you_mean(
-        match[2], [name for name in vocabulary.attributes if name != match[2]]
-    )
+    known = [name for name in vocabulary.attributes if name != match[2]]
+    return f"<{match[1]}> has the unknown attribute '{match[2]}'", did_you_mean(match[2], known, "remove it")
 
 
 def _enumeration(match: re.Match[str], *_: object) -> tuple[str, str]:
@@ -229,9 +231,17 @@ _EXPLANATIONS: tuple[tuple[str, _Explanation], ...] = (
 """Patterns of libxml2's messages, and the function that words each. Groups: element, attribute, value, expected."""
 
 _FIXED_EXPLANATIONS = (
-    (r"Element '(.+?)': The attribute '(.+?)' is required but missing", r"<\1> lacks its attribute '\2'", ""),
+    (
+        r"Element '(.+?)': The attribute '(.+?)' is required but missing",
+        r"<\1> lacks its attribute '\2'",
+        r'add \2="…"',
+    ),
     (r"Element '(.+?)': Element content is not allowed", r"<\1> can only contain text, no elements", ""),
-    (r"Element '(.+?)': Character content", r"<\1> cannot contain text", "remove the text, or put it into a comment"),
+    (
+        r"Element '(.+?)': Character content",
+        r"<\1> cannot contain text",
+        "put the text into the element that it is for, e.g. <attachment>, or remove it",
+    ),
 )
 """Patterns of libxml2's messages, and for each the template of a message, and what to do."""
 
@@ -244,7 +254,7 @@ def _explain(message: str, vocabulary: SchemaVocabulary, element: etree._Element
             return explanation(match, vocabulary, element)
     for pattern, template, help_ in _FIXED_EXPLANATIONS:
         if match := re.match(pattern, message, re.DOTALL):
-            return match.expand(template), help_
+            return match.expand(template), match.expand(help_)
     return _QUOTED.sub(lambda value: quote(value[1]), " ".join(message.split())), ""
 
 

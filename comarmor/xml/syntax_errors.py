@@ -25,6 +25,7 @@ _BEGINNINGS = (
 _HEAD = 4096
 """Bytes that are looked at for this."""
 _REMEDIES = (
+    (rb"(^|\n)<$", rb"<<<<<< ", "resolve the conflict of versions that begins here"),
     (rb"&\w*$", rb"[^;]", "write & as &amp;"),
     (rb"=\s*$", rb"[^\"']", 'write the value in straight quotes: name="value"'),
     (

@@ -281,4 +281,6 @@ def orphan_findings(session: Session, *, pruned: bool = False) -> Iterator[Diagn
             yield Diagnostic.warning(IGNORED, message, where, help_, subject)
         elif not pruned:
             message = f"the enclave {subject} is installed, but has no source package"
-            yield Diagnostic.warning(ORPHANED, message, None, "'keymint install --prune' removes it", subject)
+            where = session.workspace.origin(session.enclave_folder(name))
+            help_ = f"'keymint create {name}' makes the package again; 'keymint install --prune' removes the enclave"
+            yield Diagnostic.warning(ORPHANED, message, where, help_, subject)

@@ -167,7 +167,9 @@ class Run:
                 self.known_workspace = self.workspace_at(self._named)
                 if not self.known_workspace.exists():
                     # The user may have named a folder inside of a workspace.
-                    self.known_workspace = find(self.setting.cwd / self._named, self._spaces, self.setting.cwd)
+                    self.known_workspace = find(
+                        self.setting.cwd / self._named, self._spaces, self.setting.cwd, self._named
+                    )
         return self.known_workspace
 
     def workspace_at(self, folder: Path | None) -> Workspace:

@@ -188,6 +188,7 @@ def refuse(path: str | Path, error: OSError) -> NoReturn:
         errno.EDQUOT: "free some space and run again; the previous files are intact",
         errno.EACCES: "check the owner and mode of the folder",
         errno.EPERM: "check the owner and mode of the folder",
+        errno.ENOTDIR: "a file is where a folder must be: name another folder",
         errno.EROFS: "the file system is mounted read-only",
     }
     message = f"cannot be written: {os.strerror(error.errno or 0)}"

@@ -160,21 +160,20 @@ def _beside(folder: str, root: str) -> str:
     return os.path.relpath(folder, root)
 
 
-def find(start: Path, spaces: Mapping[str, Path], shown_from: Path) -> Workspace:
-    """Return the workspace that contains a folder, searching upward as git does.
+def find(start: Path, spaces: Mapping[str, Path], shown_from: Path, named: Path | None = None) -> Workspace:
+    """Return the workspace that contains a folder, searching upward as git does; a path that was named is told.
 
     Raises:
         KeymintError: there is none.
     """
-    for folder in (start.resolve(), *start.resolve().parents):
+    missing = named is not None and not start.is_dir()
+    for folder in () if missing else (start.resolve(), *start.resolve().parents):
         workspace = Workspace.at(folder, spaces, shown_from)
         if workspace.exists():
             return workspace
-    raise KeymintError(
-        f"Not inside a Keymint workspace (no profile/{PROFILE_MARKER} in this or any parent directory)",
-        help="run 'keymint init', or set the workspace with -w",
-        code="workspace-missing",
-    )
+    message = f"Not inside a Keymint workspace (no profile/{PROFILE_MARKER} in this or any parent directory)"
+    help_ = "correct the path, or run 'keymint init'" if named else "run 'keymint init', or set the workspace with -w"
+    raise KeymintError(message, where=Origin(str(named)) if named else None, help=help_, code="workspace-missing")
 
 
 def packages(tree: Tree, src: Path) -> tuple[str, ...]:

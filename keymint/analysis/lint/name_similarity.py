@@ -15,7 +15,7 @@ from comarmor.patterns.glob import Glob, literal, parse
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.steps import StepLimitError, spend, step_counting_cache, step_limit
 from comarmor.regex import lazy_regex
-from comarmor.rules import KIND_OF, Effect
+from comarmor.rules import KIND_OF, Effect, is_fully_qualified
 from keymint.analysis.lint.findings import ExpressionOrigins, undecided_note
 from keymint.api import PolicyStructure
 from keymint.ir import Rule
@@ -60,7 +60,7 @@ def similar_names(subjects: Mapping[str, tuple[Rule, ...]], attachments: Express
     for permission, other in _PEERS.items():
         lone = {name: None for name in exact[other] if has_no_peer(other, name)}
         candidates, paired = CandidateNames(lone), CandidateNames(name for name in exact[other] if name not in lone)
-        for name, (subject, rule) in exact[permission].items():
+        for name, (subject, rule, text) in exact[permission].items():
             if not has_no_peer(permission, name):
                 continue
             near = candidates.nearest(name, MOST_EDITS, given_up)
@@ -69,13 +69,13 @@ def similar_names(subjects: Mapping[str, tuple[Rule, ...]], attachments: Express
                 near = near if near and _is_slip(name, near) else None
             if near and frozenset((name, near)) not in reported:
                 reported.add(frozenset((name, near)))
-                peer, peer_rule = exact[other][near]
-                peer_place = attachments.of(peer_rule, peer)[near].where.alone()
+                peer, peer_rule, peer_text = exact[other][near]
+                peer_place = attachments.of(peer_rule, peer)[peer_text].where.alone()
                 yield Diagnostic.warning(
                     "name-similar",
                     f"{subject} may {_plain(permission)} the {KIND_OF[permission]} {name!r} "
                     f"and nobody may {_plain(other)} it, but {peer} may {_plain(other)} {near!r} ({peer_place})",
-                    attachments.of(rule, subject)[name].where,
+                    attachments.of(rule, subject)[text].where,
                     f"if one of the two is misspelt, write the same name in both places: {name!r} or {near!r}",
                     subject,
                 )
@@ -106,9 +106,12 @@ def similar_subjects(written: PolicyStructure) -> Iterator[Diagnostic]:
 
 def _allowed(
     subjects: Mapping[str, tuple[Rule, ...]],
-) -> tuple[dict[str, dict[str, tuple[str, Rule]]], dict[str, dict[Glob, None]]]:
-    """Return, by permission, the exact names that are allowed, with a subject and rule, and the patterns."""
-    exact: dict[str, dict[str, tuple[str, Rule]]] = defaultdict(dict)
+) -> tuple[dict[str, dict[str, tuple[str, Rule, str]]], dict[str, dict[Glob, None]]]:
+    """Return, by permission, the exact names that are allowed, with a subject, rule and expression, and the patterns.
+
+    Names that no object can have are left out: they are reported as such.
+    """
+    exact: dict[str, dict[str, tuple[str, Rule, str]]] = defaultdict(dict)
     wild: dict[str, dict[Glob, None]] = defaultdict(dict)
     for subject, rules in subjects.items():
         for rule in rules:
@@ -120,8 +123,8 @@ def _allowed(
                 for permission in rule.permissions:
                     if name is None:
                         wild[permission][pattern] = None
-                    else:
-                        exact[permission].setdefault(name, (subject, rule))
+                    elif rule.kind == "topic" or is_fully_qualified(name):
+                        exact[permission].setdefault(name, (subject, rule, expression))
     return exact, wild
 
 

@@ -333,17 +333,6 @@ def test_our_own_files_have_the_form() -> None:
     assert [str(path) for path in files if canonical_form(path.read_bytes(), "p.xml") != path.read_bytes()] == []
 
 
-def test_the_documents_show_the_form() -> None:
-    blocks = [
-        (page.name, block)
-        for page in [*CHECKOUT.glob("*.md"), *(CHECKOUT / "docs").glob("*.md")]
-        for block in re.findall(r"```xml\n(.*?)```", page.read_text(), re.DOTALL)
-        if re.match(r"<(profiles|tests)\b", block)
-    ]
-    assert len(blocks) > 2
-    assert [(page, block) for page, block in blocks if body(block) != block] == []
-
-
 @pytest.mark.parametrize(
     ("codec", "name"), [("utf-8-sig", "UTF-8"), ("utf-16", "UTF-16"), ("utf-16-be", "UTF-16BE")], ids=str
 )

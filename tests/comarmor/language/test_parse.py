@@ -102,7 +102,7 @@ def test_hints_where_a_schema_is_are_tolerated_at_the_root_only(load, refused) -
         ),
         ("<profile><attachment>/s</attachment></profile>", 1, "<profile> lacks its attribute 'name'", ""),
         (profile("\n\n", allow("/x").replace("ALLOW", "allow")), 3, "expected ALLOW or DENY", "did you mean 'ALLOW'?"),
-        (profile("text"), 1, "<profile> cannot contain text", "comment"),
+        (profile("text"), 1, "<profile> cannot contain text", "put the text"),
         (profile("\n", allow("/x").replace("ros_publish", "ros_call")), 2, "<ros_call> is not expected here", ""),
         (profile("\n", allow("/x").replace("<ros_publish/>", "")), 2, "<permissions> is not complete", ""),
         (profile("\n<topic/>"), 2, "<topic> lacks its attribute 'qualifier'", ""),
