@@ -119,10 +119,12 @@ def validate(root: etree._Element, owner: str, name: str, file: str, chain: tupl
     vocabulary = _vocabulary(schema)
     diagnostics: dict[Diagnostic, None] = {}
     log: Any = compiled.error_log
-    texts = {entry.path for entry in log if "Character content" in entry.message}
+    wrong = {
+        entry.path for entry in log if re.search(r"Character content|attribute '.+' is not allowed", entry.message)
+    }
     for entry in log:
-        if entry.path in texts and "Missing child" in entry.message:
-            continue  # what is missing is that text, without its tags
+        if entry.path in wrong and re.search(r"Missing child|is required but missing", entry.message):
+            continue  # what is missing is probably that text, without its tags, or that attribute
         element = _element(root, entry.path)
         where = Origin(file, entry.line if element is None else line_in(root, element), chain)
         message, hint = _explain(entry.message, vocabulary, element)
@@ -184,7 +186,8 @@ def _with_exits(
 
 def _root(match: re.Match[str], vocabulary: SchemaVocabulary, _e: etree._Element | None) -> tuple[str, str]:
     roots = tuple(vocabulary.elements)
-    return f"<{match[1]}> is not expected as the root, expected {_one_of(roots)}", did_you_mean(match[1], roots)
+    help_ = did_you_mean(match[1], roots, "name a file with one of these root elements")
+    return f"<{match[1]}> is not expected as the root, expected {_one_of(roots)}", help_
 
 
 def _attribute(match: re.Match[str], vocabulary: SchemaVocabulary, _e: etree._Element | None) -> tuple[str, str]:
