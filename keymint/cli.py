@@ -60,6 +60,7 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
         "revoke": "Revoke certificates, and issue new ones that old permissions do not fit.",
         "remove": "Remove packages for good: sources, key and enclave; revoke their certificates.",
         "authority": "Show, renew, replace, import or export the certificate authorities.",
+        "set": "Change a setting of the workspace: its domain, its distribution, how long certificates are valid, …",
         "issued": "List the certificates that were issued, and which are revoked.",
         "crl": "Show the revocation lists, or issue them again.",
         "harden": "Mend what a keystore that was taken over lacks, step by step, each with its cost.",
@@ -100,7 +101,7 @@ class _Verbs(VerbGroup):
     """The verbs."""
 
     GROUPS = GROUPS
-    MODULES: Mapping[str, str] = MappingProxyType({"import": "import_policy"})
+    MODULES: Mapping[str, str] = MappingProxyType({"import": "import_policy", "set": "set_setting"})
 
 
 @click.group(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})

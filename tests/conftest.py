@@ -104,7 +104,14 @@ def plain_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fix the clock, and hide the machine's ROS."""
     monkeypatch.setenv("SOURCE_DATE_EPOCH", str(NOW))
     monkeypatch.setenv("COLUMNS", "200")  # tables of a wide terminal
-    for name in ("ROS_DISTRO", "AMENT_PREFIX_PATH", "KEYMINT_TRACEBACK", "KEYMINT_PKCS11_PIN", "KEYMINT_PKCS11_MODULE"):
+    for name in (
+        "ROS_DISTRO",
+        "ROS_DOMAIN_ID",
+        "AMENT_PREFIX_PATH",
+        "KEYMINT_TRACEBACK",
+        "KEYMINT_PKCS11_PIN",
+        "KEYMINT_PKCS11_MODULE",
+    ):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("XDG_CONFIG_HOME", "/nonexistent")  # where the developer may have defaults
 

@@ -76,6 +76,7 @@ READING_VERBS = (
     ("harden", "-w", "ws"),
     ("learn", "--from-keystore", "ws/install"),
     ("authority", "show", "-w", "ws"),
+    ("set", "valid-for", "P200D", "-w", "ws", "--dry-run"),
     ("remove", "--state", "revoked", "-w", "ws"),
     ("revoke", "talker", "--reason", "superseded", "-w", "ws"),
     ("revoke", "talker", "--reason", "key-compromise", "-w", "ws"),

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import field
 from datetime import datetime
 from pathlib import Path
@@ -113,6 +113,8 @@ class ProfileType(ABC):
     """Build types of a new profile whose request names none."""
     PLACES: Mapping[str, tuple[str, ...]] = {}
     """Files that give a setting together, relative to the profile space; those not listed are in the marker."""
+    SETTINGS: Sequence[str] = ()
+    """The settings that :meth:`with_setting` changes, by the names of :meth:`settings`."""
     SIGNER: str = ""
     """Name of the authority that :meth:`with_own_signer` makes; empty if it makes none."""
 
@@ -165,6 +167,22 @@ class ProfileType(ABC):
             KeymintError: with ``file:line`` of a defect.
         """
         return {}
+
+    def with_setting(self, profile: WorkspaceProfile, name: str, value: str, now: datetime) -> Mapping[str, bytes]:
+        """Return the files of a profile that change, by path, so that a setting has another value; comments stay.
+
+        What its owner wrote in a way that is not edited is left out; the caller looks whether the value is there.
+
+        Args:
+            profile: the profile.
+            name: one of :attr:`SETTINGS`.
+            value: its new value, as the option of ``keymint init`` takes it.
+            now: the clock, UTC.
+
+        Raises:
+            KeymintError: it has no such value.
+        """
+        raise NotImplementedError
 
     def with_authority_issuance(self, issuance: Mapping[str, AuthorityIssuance]) -> Mapping[str, bytes] | None:
         """Return the files to write into the profile space so that it has this; None if it keeps none of it.

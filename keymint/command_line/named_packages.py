@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 import codecs
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import NoReturn
 
-from comarmor.errors import Defects, Diagnostic, Origin
+from comarmor.errors import Diagnostic, Origin
 from comarmor.patterns.glob import matches, parse
 from comarmor.patterns.tokens import SPECIAL
 from comarmor.text import did_you_mean, quantity, quote
@@ -21,6 +22,7 @@ from keymint.view.tree import MAX_FILE
 from keymint.workspace.session import Session
 
 _STANDARD = Path("-")
+_LISTED = "'keymint status' lists the packages"
 Named = tuple[str, Origin | None]
 """A name or pattern, and its place if a file has it."""
 
@@ -79,19 +81,22 @@ class Selection:
             KeymintError: a name is illegal or unknown, a pattern is none, or finds nothing; with all of these.
         """
         known = known if known is None else frozenset(known or session.packages())
-        matched = sorted(matched or known or ())
-        chosen: dict[str, None] = {} if self.typed else dict.fromkeys(matched)
-        defects = Defects()
+        every = {subject_of(name): name for name in sorted(matched or known or ())}
+        chosen: dict[str, None] = {} if self.typed else dict.fromkeys(every.values())
+        defects: list[Diagnostic] = []
         for text, place in self.typed:
-            with defects:
-                chosen.update(dict.fromkeys(_found(session, text, place, known, matched, otherwise)))
-        defects.require_none()
+            try:
+                chosen.update(dict.fromkeys(_found(session, text, known, every, otherwise)))
+            except KeymintError as error:
+                defects += error.at(place).diagnostics
+        if defects:
+            raise KeymintError.of(dict.fromkeys(defects))
         if self.state is None:
             return tuple(chosen)
         in_state = _in_state(session, self.state, chosen, threshold)
-        if not (found := tuple(name for name in chosen if name in in_state)):
+        if not (left := tuple(name for name in chosen if name in in_state)):
             self.run.console.line(f"no package is {self.state}")
-        return found
+        return left
 
     def confirm(self, verb: str, names: Sequence[str]) -> tuple[Diagnostic, ...]:
         """Ask before something is done to packages that nobody named one by one; see :meth:`Run.confirm`.
@@ -102,42 +107,29 @@ class Selection:
         """
         if self.run.resumes or not names or not (self.state or any(SPECIAL.search(text) for text, _ in self.typed)):
             return ()
-        chosen = f"{quantity(len(names), 'package')} to {verb}, not named one by one"
-        message = f"{chosen}: {', '.join(map(subject_of, names))}"
+        subjects = ", ".join(map(subject_of, names))
+        message = f"{quantity(len(names), 'package')} to {verb}, not named one by one: {subjects}"
         return self.run.confirm([Diagnostic.warning("names-by-pattern", message)])
 
 
 def _found(
-    session: Session,
-    text: str,
-    place: Origin | None,
-    known: Collection[str] | None,
-    matched: Sequence[str],
-    otherwise: str,
-) -> list[str]:
-    """Return the packages of a name or a pattern; the arguments and errors are as of :meth:`Selection.packages`."""
-    is_pattern = SPECIAL.search(text) is not None
-    try:
-        if is_pattern:
-            pattern = parse(typed_subject(text))
-            found = [name for name in matched if matches(pattern, subject_of(name))]
-        else:
-            name = package_name(text)
-            found = [name] if known is None or name in known else []
-    except KeymintError as error:
-        raise (error.at(place) if place else error) from None
-    if not found:
-        what = f"no package matches {quote(text)}" if is_pattern else f"no package {name!r}"
-        usual = "'keymint status' lists the packages" if is_pattern else f"'keymint create {name}' makes it"
-        names = matched if is_pattern or known is None else known
-        typed = map(subject_of, names) if is_pattern or text.startswith("/") else names
-        raise KeymintError(
-            f"{what} in {session.workspace.shown(session.workspace.src)}",
-            where=place,
-            help=did_you_mean(text, typed, otherwise or usual),
-            code="package-unknown",
-        )
-    return found
+    session: Session, text: str, known: Collection[str] | None, matched: Mapping[str, str], otherwise: str
+) -> Sequence[str]:
+    """Return the packages of a name or a pattern, of those by subject; see :meth:`Selection.packages`."""
+    if SPECIAL.search(text):
+        pattern = parse(typed_subject(text))
+        found = [name for subject, name in matched.items() if matches(pattern, subject)]
+        return found or _fail(session, f"matches {quote(text)}", did_you_mean(text, matched, otherwise or _LISTED))
+    name = package_name(text)
+    if known is None or name in known:
+        return (name,)
+    near = map(subject_of, known) if text.startswith("/") else known
+    return _fail(session, repr(name), did_you_mean(text, near, otherwise or f"'keymint create {name}' makes it"))
+
+
+def _fail(session: Session, what: str, help_: str) -> NoReturn:
+    place = session.workspace.shown(session.workspace.src)
+    raise KeymintError(f"no package {what} in {place}", help=help_, code="package-unknown")
 
 
 def _in_state(session: Session, state: str, names: Collection[str], threshold: Threshold) -> Collection[str]:

@@ -56,7 +56,7 @@ class Names:
     """
 
     given: tuple[str, ...]
-    listed: Path | None
+    listed: Path | None = None
     state: str | None = None
 
     def __bool__(self) -> bool:

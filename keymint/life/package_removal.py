@@ -39,16 +39,14 @@ def require_unneeded(session: Session, names: Sequence[str]) -> None:
     """
     policy = lazy_policy(session) if session.profile.policies else None
     named = frozenset(policy.subjects()) if policy else frozenset[str]()
-    needed = session.needed_infrastructure()
     errors = [_named(policy, subject_of(name)) for name in names if policy and subject_of(name) in named]
-    errors += [
-        Diagnostic.error(
-            "package-needed", f"{subject_of(name)} is {needed[name][0]} of this workspace",
-            session.package_marker(name), "a new key for it is made by 'keymint renew --rekey'", subject_of(name),
-        )
-        for name in names
-        if name in needed and session.role(name) is Role.INFRASTRUCTURE
-    ]  # fmt: skip
+    for name, (title, _) in session.needed_infrastructure().items():
+        if name in names and session.role(name) is Role.INFRASTRUCTURE:
+            message, help_ = (
+                f"{subject_of(name)} is {title} of this workspace",
+                "'keymint renew --rekey' gives it a new key",
+            )
+            errors.append(Diagnostic.error("package-needed", message, session.package_marker(name), help_))
     if errors:
         raise KeymintError.of(errors)
 

@@ -328,7 +328,7 @@ _TOLD_ONCE = {
     "profile-wide",
 }
 """Codes of what is told only by a run that does something: signed rights became narrower, and slips in the policy."""
-_TOLD_ANYWAY = {"distro-unnamed", "element-renamed", "authority-key-missing", ORPHANED, IGNORED}
+_TOLD_ANYWAY = {"distro-unnamed", "domain-environment", "element-renamed", "authority-key-missing", ORPHANED, IGNORED}
 """Codes of what each run finds out, whichever packages it looks at."""
 
 

@@ -11,7 +11,7 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from comarmor.text import did_you_mean, first_few, quantity
+from comarmor.text import did_you_mean, first_few, quantity, quote
 from keymint import api
 from keymint.errors import ExitCode, KeymintError
 from keymint.ir import SubjectRules
@@ -89,6 +89,39 @@ def plan_policy(session: Session, policy: str) -> Plan:
     files = session.profile_type.with_policy(profile.files, policy)
     changes = folder_changes(session.tree, session.workspace.profile, files)
     return Plan((Step(INIT, "", Action.UPDATED, changes, f"policy {policy}"),), session.state)
+
+
+def other_domain(session: Session) -> tuple[Diagnostic, ...]:
+    """Return a warning if nodes that start with these environment variables use a domain that nothing is signed for."""
+    asked = session.environment.get("ROS_DOMAIN_ID", "")
+    own = session.profile_type.settings(session.profile).get("domain", "") if asked else ""
+    ranges = [each.strip().partition("-") for each in own.split(",") if each.strip()]
+    known = asked.isdecimal() and any(int(first) <= int(asked) <= int(last or first) for first, _, last in ranges)
+    if not ranges or known:
+        return ()
+    message = f"ROS_DOMAIN_ID is {quote(asked)}, but the workspace is for domain {own}: nodes that start so are refused"
+    help_ = f"set ROS_DOMAIN_ID to {own} where nodes start, or change the workspace with 'keymint set domain'"
+    place = session.workspace.profile / next(iter(session.profile_type.PLACES.get("domain", ())), PROFILE_MARKER)
+    return (Diagnostic.warning("domain-environment", message, session.workspace.origin(place), help_),)
+
+
+def library_changes(session: Session, distro: str) -> tuple[FolderChange, ...]:
+    """Return what gives a profile the policy library of another distribution; files that were edited stay as they are.
+
+    Raises:
+        KeymintError: the distribution is not known.
+    """
+    library, shipped = session.profile.library, session.profile_type.library
+    before, after = shipped(session.profile.distro), shipped(distro)
+    if library is None or not session.tree.names(library):
+        return ()
+    files: dict[str, File] = {}
+    for path in sorted(after.rglob("*.xml")):
+        name = path.relative_to(after).as_posix()
+        former = (before / name).read_bytes() if (before / name).exists() else None
+        if session.tree.read(library / name) == former:
+            files[name] = File(path.read_bytes())
+    return folder_changes(session.tree, library, files)
 
 
 def policy_path(policy: Path, profile: Path) -> str:

@@ -39,7 +39,7 @@ DEFAULTS_FILE = "keymint.toml"
 """Name of the files with defaults of options; that of a workspace is at its root."""
 _UNRECORDED = ("--hints", "--profile-space", "--new-authority", "--rekey", "--from", "--state", "--force", "-f")
 """Options of commands that do something each time, or read more than what is recorded."""
-_VARIABLES = {"ROS_DISTRO", "AMENT_PREFIX_PATH"}
+_VARIABLES = {"ROS_DISTRO", "ROS_DOMAIN_ID", "AMENT_PREFIX_PATH"}
 """Environment variables whose values may be recorded; any other one may be a password."""
 _TICK, _COARSE_TICK = 20_000_000, 2_000_000_000
 """Nanoseconds in which a file may change twice and have the same time; the second if times are whole seconds."""

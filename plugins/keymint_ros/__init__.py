@@ -22,6 +22,7 @@ class RosProfileType(ProfileType):
         "valid-for": ("package.defaults/permissions.xml", "package.defaults/identities.xml"),
     }
 
+    SETTINGS = ("distro", "domain", "subject-format", "valid-for")
     SIGNER = SIGNER
 
     bootstrap = lazy("keymint_ros.bootstrap:bootstrap")
@@ -31,6 +32,7 @@ class RosProfileType(ProfileType):
     with_distro = lazy("keymint_ros.profile_reader:with_distro")
     with_policy = lazy("keymint_ros.profile_reader:with_policy")
     settings = lazy("keymint_ros.profile_reader:settings")
+    with_setting = lazy("keymint_ros.setting_edits:with_setting")
     with_own_signer = lazy("keymint_ros.package_writer:with_own_signer")
     with_authority_issuance = lazy("keymint_ros.decisions:with_authority_issuance")
     with_packages = lazy("keymint_ros.decisions:with_packages")

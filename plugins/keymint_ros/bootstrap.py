@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import timedelta
 from functools import lru_cache
@@ -11,7 +12,7 @@ from string import Template
 
 from comarmor.data import locate
 from keymint.api import Bootstrap, Role, Validity
-from keymint.errors import KeymintError
+from keymint.errors import ExitCode, KeymintError
 from keymint.pki import periods
 from keymint_ros import distros, validity
 from keymint_ros.manifest import BUILD_TYPE, MARKER
@@ -82,12 +83,7 @@ def bootstrap(request: Bootstrap) -> Mapping[str, bytes]:
     layout = request.layout or distros.layout(request.distro)
     distros.check_choice("layout", layout, _LAYOUTS, "layout-unknown")
     distros.check_choice("subject format", request.subject_format, SUBJECT_NAMES, "subject-format-unknown")
-    if not 0 <= request.domain <= _MAX_DOMAIN:
-        raise KeymintError(
-            f"{request.domain} is not a DDS domain id from 0 to {_MAX_DOMAIN}",
-            help="use the ROS_DOMAIN_ID of your robots, usually 0",
-            code="domain-range",
-        )
+    checked_domain(str(request.domain))
     _check_line("name of the profile", request.name)
     start = periods.begin(request.now)
     issuer, signer = _ONE_AUTHORITY if distros.has_one_authority(request.distro, layout) else _TWO_AUTHORITIES
@@ -183,6 +179,21 @@ def _grant(subject_name: str, period: Iterable[str]) -> tuple[str, ...]:
     why = "<!-- Must be the subject name of the identity: DDS selects the grant by it. -->"
     name = f"<subject_name>{escape_xml(subject_name)}</subject_name>"
     return why, name, "<validity>", *(f"  {line}" for line in period), "</validity>"
+
+
+def checked_domain(value: str) -> str:
+    """Return the text of a domain id.
+
+    Raises:
+        KeymintError: it is none; a usage error.
+    """
+    if re.fullmatch("[0-9]{1,3}", value) and int(value) <= _MAX_DOMAIN:
+        return str(int(value))
+    message, help_ = (
+        f"{value} is not a DDS domain id from 0 to {_MAX_DOMAIN}",
+        "use the ROS_DOMAIN_ID of your robots, usually 0",
+    )
+    raise KeymintError(message, help=help_, code="domain-range", exit_code=ExitCode.USAGE)
 
 
 def _check_line(noun: str, value: str) -> None:

@@ -289,9 +289,9 @@ def adopted_sources(profile: WorkspaceProfile, sources: AdoptedSources) -> Mappi
 _NAME = lazy_regex(r"<subject_name>[^<]*</subject_name>")
 _VALIDITY = lazy_regex(r"^(?=([ \t]*)<validity>)", re.MULTILINE)
 _END = lazy_regex(r"(?=  </authorities>)(?!.+  </authorities>)", re.DOTALL)
+_COMMENT = lazy_regex(r"<!--.*?-->", re.DOTALL)
 _AUTHORITIES = "authorities.xml"
 _SIGNED = ("package.defaults/permissions.xml", "package.defaults/governance.xml")
-_COMMENT = lazy_regex(r"<!--.*?-->", re.DOTALL)
 
 
 def with_unique_name(profile: WorkspaceProfile, name: str, files: Mapping[str, bytes]) -> Mapping[str, bytes]:
@@ -319,6 +319,18 @@ def with_own_signer(profile: WorkspaceProfile, former: str, period: Validity | N
     return changed
 
 
+def without_comments(content: bytes) -> tuple[str, str]:
+    """Return the text of a document, and one of the same length that is blank where it has comments.
+
+    Both are empty for a document in another encoding than UTF-8, which Keymint writes none in.
+    """
+    try:
+        text = content.decode()
+    except UnicodeDecodeError:
+        return "", ""
+    return text, _COMMENT.sub(lambda comment: re.sub(r"[^\n]", " ", comment[0]), text)
+
+
 def _edited(
     files: Mapping[str, bytes], path: str, shown: str, edits: Mapping[re.Pattern[str], str], help_: str
 ) -> dict[str, bytes]:
@@ -327,12 +339,7 @@ def _edited(
     Raises:
         KeymintError: there is no such file, or it is written in another way than Keymint writes it.
     """
-    try:
-        text = files.get(path, b"").decode()
-    except UnicodeDecodeError:
-        text = ""  # nothing that Keymint writes is like this
-    # Nothing is found in a comment, and all other places stay.
-    plain = _COMMENT.sub(lambda comment: re.sub(r"[^\n]", " ", comment[0]), text)
+    text, plain = without_comments(files.get(path, b""))
     for pattern, new in edits.items():
         if found := pattern.search(plain):
             return {path: f"{text[: found.start()]}{found.expand(new)}{text[found.end() :]}".encode()}

@@ -251,7 +251,7 @@ def settings(profile: WorkspaceProfile) -> Mapping[str, str]:
     found: dict[str, str] = {}
     for file, read in ((_IDENTITY_DEFAULTS, _read_identity_settings), (_GRANT_DEFAULTS, _read_grant_settings)):
         if content := profile.files.get(file):
-            found |= read(content, file)
+            found |= read(content, base_of(profile) + file)
     return {"distro": profile.distro, "layout": profile.layout, **found}
 
 

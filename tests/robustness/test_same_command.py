@@ -156,6 +156,7 @@ COMMANDS: Mapping[str, Struck] = {
     "revoke": Struck("revoke listener --reason superseded" + WS, (PROVISION,)),
     "retire": Struck("revoke listener --reason retired" + WS, (PROVISION,)),
     "remove": Struck("remove listener" + WS, (PROVISION, renamed)),
+    "set": Struck("set domain 5" + WS, (PROVISION,), checked=False),
     "crl": Struck("crl --refresh" + WS, (PROVISION, GIVEN_UP)),
     "sign": Struck(SIGN, (PROVISION, asked)),
     "renew authority": Struck("authority renew identity_ca --flag-day" + WS, (PROVISION,)),

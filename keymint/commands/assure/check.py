@@ -26,7 +26,7 @@ from keymint.names import subject_of
 from keymint.output.report import merged_diagnostics
 from keymint.output.sarif import of_diagnostics
 from keymint.output.sarif import sarif as sarif_log
-from keymint.stages.create import policy_changed, subjects_without_package
+from keymint.stages.create import other_domain, policy_changed, subjects_without_package
 from keymint.stages.proof.proof_results import ProofEffort, proof_findings
 from keymint.stages.proof.prove import NO_PROVER, STAGE
 from keymint.view.stamps import State
@@ -103,6 +103,7 @@ def check(
     }
     outlive = strict and any(each.code == RIGHTS_OUTLIVE for each in shown)
     exit_code = findings_if(number or outlive or (unexamined and not without_private))
+    shown = (*shown, *other_domain(session))  # no finding on the keystore
     return run.report(result, shown, exit_code, workspace=session.workspace, notes=SHOWN_NOTES | NODE_NOTES)
 
 

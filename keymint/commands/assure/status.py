@@ -57,15 +57,14 @@ def status(
         return _log(run)
     session = run.session(auditing=True)
     diagnostics: list[Diagnostic] = []
-    missing: list[str] = []
+    missing: list[str] | None = None if names else []
     try:
         policy = lazy_policy(session)
     except KeymintError as error:
         policy, diagnostics = None, list(error.diagnostics)
     rows = [_as_typed(run, row) for row in package_rows(session, policy)]
     if names:
-        chosen = frozenset(names.selection(run).packages(session, [row.package for row in rows]))
-        rows = [row for row in rows if row.package in chosen]
+        rows = _named(run, session, names, rows)
     elif policy:
         missing = _missing(session, policy, rows, diagnostics)
     defaults = _defaults(run) if run.verbosity > 0 and kind == "table" else ()
@@ -75,7 +74,7 @@ def status(
         if kind == "openmetrics":
             console.lines(openmetrics(gauges(session, rows)))
         else:
-            _show(console, session.now, rows, missing, shared, named=bool(names))
+            _show(console, session.now, rows, missing, shared)
         if defaults:
             console.line()
             console.table({"OPTION": "name", "DEFAULT": "value", "FROM": "from"}, defaults)
@@ -83,7 +82,7 @@ def status(
     show(run.console)
     result = {
         "packages": [_document(row) for row in rows],
-        "not_created": missing,
+        "not_created": missing or [],
         "shared": [members(row, "build_type", "documents", "stage", "stale", "problem") for row in shared],
     }
     unexamined = tuple(not_examined(session))
@@ -143,6 +142,11 @@ def _log(run: Run) -> Report:
     return run.report({"runs": runs}, workspace=workspace)
 
 
+def _named(run: Run, session: Session, names: Names, rows: Sequence[StatusRow]) -> list[StatusRow]:
+    chosen = frozenset(names.selection(run).packages(session, [row.package for row in rows]))
+    return [row for row in rows if row.package in chosen]
+
+
 def _changes(rows: Sequence[StatusRow], now: datetime) -> Iterator[datetime]:
     """Yield when the rows say something else: they count the days until each date."""
     for row in rows:
@@ -164,15 +168,13 @@ def _show(
     console: Console,
     now: datetime,
     rows: Sequence[StatusRow],
-    missing: Sequence[str],
+    missing: Sequence[str] | None,
     shared: Sequence[StatusRow],
-    *,
-    named: bool,
 ) -> None:
     """Show a table, and the problems."""
     columns = ("PACKAGE", "STAGE", "STALE", "CERTIFICATE", "PERMISSIONS", "RENEW AFTER")
     cells = []
-    own = (*rows, *(StatusRow(name, "-", "create") for name in missing))
+    own = (*rows, *(StatusRow(name, "-", "create") for name in missing or ()))
     for row in (*sorted(own, key=lambda each: natural_order(each.package)), *shared):
         title = row.package or ", ".join(row.documents) or row.build_type or "shared documents"
         ends = (_when(row.certificate_expires, now), _when(row.permissions_expire, now), _renewal(row, now))
@@ -181,7 +183,7 @@ def _show(
     console.table(dict(zip(columns, columns, strict=True)), cells, lambda cell: re.sub(r" \([0-9]+ d\)$", "", cell))
     problems = [(row.package or row.build_type or "shared documents", row.problem) for row in (*rows, *shared)]
     console.messages([f"{whose}: {problem}" for whose, problem in problems if problem])
-    if not cells and not named:
+    if not cells and missing is not None:
         console.line("no packages; run 'keymint create --all'")
 
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from comarmor.text import quantity
 from keymint.command_line.options import Names, names_group
 from keymint.command_line.verb import Report, Run, flag, verb
 from keymint.commands.life.revoke import revocation_result, shown_revocation
 from keymint.life.package_issuance import Revoking
 from keymint.life.package_removal import REASON, certified_names, plan_removal, removable_names, require_unneeded
-from keymint.names import subject_list, subject_of
+from keymint.names import subject_of
 from keymint.stages.pipeline import Request, conduct
 from keymint.stages.rollover_phases import in_step
 from keymint.stages.work import Work
@@ -47,13 +46,8 @@ def remove(
         return plan, (removing, plan, chosen)
 
     report, (removing, plan, chosen) = run.made(make_plan)
-    gone = {step.package for step in plan.steps if step.action is Action.REMOVED}
+    gone = plan.of_action(Action.REMOVED)
     removed = [subject_of(name) for name in chosen if name in gone]
     result = {"removed": removed, **revocation_result(run, removing, plan, chosen)}
     run.console.messages([*shown_revocation(run, removing, result, REASON)])
-    if removed:
-        word = "would remove" if run.dry_run else "removed"
-        run.console.line(f"{word} {quantity(len(removed), 'package')}: {subject_list(removed)}")
-    elif chosen:
-        run.console.line(f"nothing is left to remove of {subject_list([*map(subject_of, chosen)])}")
     return replace(report, result=result)

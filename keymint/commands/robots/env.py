@@ -11,6 +11,7 @@ from keymint.command_line.verb import Report, Run, argument, option, verb
 from keymint.errors import KeymintError
 from keymint.host.shells import SHELLS, exports
 from keymint.names import package_name, subject_of
+from keymint.stages.create import other_domain
 from keymint.stages.environment_scripts import enclave_environment
 from keymint.workspace.installed_enclaves import enclave_names
 
@@ -47,4 +48,6 @@ def env(
         )
     values = enclave_environment(session, name)
     run.console.document(exports(values, shell).encode(errors="surrogateescape"))
-    return run.report({"enclave": subject, "variables": dict(values)}, workspace=session.workspace)
+    return run.report(
+        {"enclave": subject, "variables": dict(values)}, other_domain(session), workspace=session.workspace
+    )

@@ -159,10 +159,11 @@ def refuse_contradiction(run: Run, workspace: Workspace, given: ProfileOptions, 
             places = [place for place in profile_type.PLACES.get(setting, ()) if place in profile.files]
             places = places or [PROFILE_MARKER]
             has = f"has {setting} {present[setting]!r}" if setting in present else f"exists and keeps its {setting}"
+            how = f"'keymint set {setting} {value}' changes it" if setting in profile_type.SETTINGS else "change it"
             raise KeymintError(
                 f"the workspace {has}, so --{setting} {value} cannot take effect",
                 where=workspace.origin(workspace.profile / places[0]),
-                help=f"change it in {' and '.join(workspace.shown(workspace.profile / place) for place in places)}, "
+                help=f"{how} in {' and '.join(workspace.shown(workspace.profile / place) for place in places)}, "
                 "or name another workspace",
                 code="workspace-exists",
             )

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,29 +14,23 @@ from keymint.authority.authority_files import elsewhere
 from keymint.command_line.options import (
     DEFAULT_PROFILE_TYPE,
     DocumentOptions,
+    Names,
     document_options,
     former_renew_option,
     install_request,
 )
-from keymint.command_line.verb import PATH, Report, Run, argument, flag, option, verb
+from keymint.command_line.verb import PATH, Report, Run, argument, flag, option, option_group, verb
 from keymint.commands.start.build import build_options, policy_slips, unknown_hints
 from keymint.commands.start.create import AcceptanceOptions, accept, acceptance_options
 from keymint.commands.start.init import ProfileOptions, bootstrap_request, profile_options, refuse_contradiction
 from keymint.names import no_subject, subject_of
-from keymint.stages.create import (
-    not_pruned,
-    packages_to_create,
-    plan_init,
-    plan_policy,
-    policy_path,
-    refuse_unsupported,
-)
+from keymint.stages import create
 from keymint.stages.pipeline import CREATE, INSTALL, Request, conduct
 from keymint.stages.work import InstallRequest, Work
 from keymint.store.changes import Plan
 from keymint.workspace.package_build_types import BUILD
 from keymint.workspace.policy_loading import lazy_policy
-from keymint.workspace.session import Inputs, Session
+from keymint.workspace.session import Inputs
 from keymint.workspace.shipped_profiles import plan_release
 
 _MOST = 20
@@ -51,10 +45,9 @@ def provision(
     policy: Path = argument(type=PATH),
     profile: ProfileOptions = profile_options,
     force: bool = flag("Discard manual edits of packages' rules and of built documents.", "-f"),
-    rekey: tuple[str, ...] = option(
-        multiple=True,
-        metavar="NAME",
-        help="Replace the private key of this package; NAME may be a pattern. Repeatable.",
+    rekey: Names = option_group(
+        Names,
+        given=option("--rekey", multiple=True, metavar="NAME", help="Replace the private key of NAME, or a pattern."),
     ),
     document_options: DocumentOptions = document_options,
     request: InstallRequest = install_request(),
@@ -77,25 +70,30 @@ def provision(
     def make_plan(inputs: Inputs) -> Plan:
         if inputs.workspace.exists():
             session = inputs.session()
-            own = policy_path(run.setting.cwd / policy, inputs.workspace.profile)
-            work = Work(session).then(plan_policy(session, own))
+            own = create.policy_path(run.setting.cwd / policy, inputs.workspace.profile)
+            work = Work(session).then(create.plan_policy(session, own))
         else:
-            work = Work.after(inputs, plan_init(inputs, profile.profile_type or DEFAULT_PROFILE_TYPE, bootstrap))
-            refuse_unsupported(work.session)
+            work = Work.after(inputs, create.plan_init(inputs, profile.profile_type or DEFAULT_PROFILE_TYPE, bootstrap))
+            create.refuse_unsupported(work.session)
         work = accept(work, acceptance)
         acquired = lazy_policy(work.session)
         work = work.then(plan_release(work.session, acquired))
-        names = packages_to_create(work.session, acquired)
+        names = create.packages_to_create(work.session, acquired)
         if not names:
             raise no_subject(
                 "attach a profile to a name without wildcards, or use 'keymint create NAME'", Origin(str(policy))
             )
-        new_keys, told = _named_for_rekeying(run, work.session, rekey, names) if rekey else (frozenset[str](), ())
+        told: tuple[Diagnostic, ...] = ()
+        new_keys: tuple[str, ...] = ()
+        if rekey:
+            selection = rekey.selection(run)
+            new_keys = selection.packages(work.session, names)
+            told = selection.confirm("rekey", new_keys)
         unknown = unknown_hints(options.hints, document_options.hints, (*names, *work.session.needed_infrastructure()))
         everything = Request(
             names,
             (CREATE, BUILD, INSTALL),
-            replace(request, rekey=new_keys).resumed(resumes=run.resumes),
+            replace(request, rekey=frozenset(new_keys)).resumed(resumes=run.resumes),
             policy=acquired,
             change=Plan((), work.session.state, (*told, *unknown)),
             follow=False,
@@ -118,16 +116,6 @@ def _notes(work: Work, policy: LoadedPolicy, *, prune: bool) -> Iterator[Diagnos
         profile = session.profile
         yield from node_notes(session.plugins, profile.build_types, profile.distro, of_policy(policy, doubtful))
     yield from elsewhere(session)
+    yield from create.other_domain(session)
     if prune:
-        yield from not_pruned(session, policy, {each.subject for each in work.plan.diagnostics})
-
-
-def _named_for_rekeying(
-    run: Run, session: Session, given: Sequence[str], names: Sequence[str]
-) -> tuple[frozenset[str], tuple[Diagnostic, ...]]:
-    """Return the packages that get new keys, and what the user agreed to; errors as of :meth:`Run.confirm`."""
-    from keymint.command_line.named_packages import selection_of  # noqa: PLC0415 - few runs name packages
-
-    selection = selection_of(run, given)
-    chosen = selection.packages(session, names)
-    return frozenset(chosen), selection.confirm("rekey", chosen)
+        yield from create.not_pruned(session, policy, {each.subject for each in work.plan.diagnostics})

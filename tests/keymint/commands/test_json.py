@@ -38,6 +38,7 @@ CALLS = {
     "prove": ["prove", "-w", "ws"],
     "revoke": ["revoke", "talker", "--reason", "superseded", "-w", "ws"],
     "remove": ["remove", "--state", "revoked", "-w", "ws"],
+    "set": ["set", "domain", "0", "-w", "ws"],
     "issued": ["issued", "-w", "ws"],
     "crl": ["crl", "-w", "ws"],
     "renew": ["renew", "talker", "-w", "ws"],

@@ -34,7 +34,7 @@ def loaded(monkeypatch: pytest.MonkeyPatch) -> list[Session]:
     return sessions
 
 
-@pytest.mark.parametrize(("option", "times"), [((), 2), (("--rekey=*", "--yes"), 1)], ids=["recorded", "each time"])
+@pytest.mark.parametrize(("option", "times"), [((), 2), (("--rekey", "--yes", "*"), 1)], ids=["recorded", "each time"])
 def test_the_profile_is_loaded_again_only_for_an_answer_that_is_recorded(
     keymint: Callable[..., Outcome], just_provisioned: Path, loaded: list[Session], option: tuple[str, ...], times: int
 ) -> None:

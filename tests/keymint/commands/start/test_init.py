@@ -101,7 +101,7 @@ def test_a_domain_that_was_edited_by_hand_counts(keymint, tmp_path: Path) -> Non
     assert "has domain '0, 5-7', so --domain 5 cannot take effect" in outcome.err
     assert outcome.err.startswith("ws/profile/package.defaults/permissions.xml: error: ")
     places = "ws/profile/package.defaults/permissions.xml and ws/profile/package.defaults/governance.xml"
-    assert f"(change it in {places}, or name another workspace)" in outcome.err
+    assert f"('keymint set domain 5' changes it in {places}, or name another workspace)" in outcome.err
 
 
 def test_the_policy_of_a_workspace_that_exists_stays(keymint, tmp_path: Path) -> None:
