@@ -175,7 +175,8 @@ _SHAPES = (
 .keymint .mark{font-size:11px}
 .keymint .sign rect{stroke-width:1.4}
 .keymint .sign text{font-size:11px;font-weight:bold;text-anchor:middle}
-.keymint .sign .bar{stroke-width:1.2;stroke-opacity:.6}
+.keymint .sign .bar{stroke-width:1.2;stroke-opacity:.5}
+.keymint .sign .hazard{stroke-width:2.5}
 .keymint .sign.false rect{stroke-width:3}
 .keymint .made{font-size:11px}
 .keymint .probe rect{stroke-dasharray:1.5 3}

@@ -17,7 +17,7 @@ from keymint.drawing.layout import CHARACTER, NodeBox, Panel, Sign, objects_in_o
 
 ROW = 22.0
 """Height of a row, in pixels."""
-SIGN = 18.0
+SIGN = 21.0
 """Width of a sign with the space beside it, in pixels."""
 _PADDING, _BULLET = 10.0, 14.0
 MOST_COLUMNS = 30
@@ -51,7 +51,7 @@ def lay_out_matrix(
     beside = {key: label(names.get(key) or object_name(key[1], key[0]), key) for key in objects}
     left = max((columns(text) for text in beside.values()), default=0) * CHARACTER + 2 * _PADDING + _BULLET
     top = max((columns(text) for text in above.values()), default=0) * CHARACTER + 2 * _PADDING
-    width = max(ROW, SIGN * max(map(len, cells.values()), default=1) + 6)
+    width = max(ROW, SIGN * max(map(len, cells.values()), default=1) + 3)
     boxes = [
         NodeBox(subject, "subject", text, left + at * width + 1, 0.0, width - 2, top - 2)
         for at, (subject, text) in enumerate(above.items())

@@ -214,7 +214,7 @@ def test_a_matrix_says_whom_each_sign_concerns() -> None:
     assert Counter(signs(root)) == {
         "edge sign allow true P": 21,
         "edge sign deny true P": 10,
-        "edge sign danger false S": 1,
+        "edge sign danger false S!": 1,
     }
     headings = root.xpath("//s:text[@class='heading']/text()", namespaces=NS)
     assert headings == ["/r/ 1 to 30", "/r/ 31 to 31", "/s/"]
