@@ -55,7 +55,7 @@ class DrawingOptions:
             graphs only.
         group: draw the subjects of a namespace as a matrix; None does so in large graphs only.
         common: draw the edges of common rules; False puts a mark at the subject instead.
-        denials: draw denials without a rule also where that takes more lines than :data:`MOST_LINES`.
+        denials: draw denials without a rule also in graphs of more than :data:`MOST_LINES` edges.
     """
 
     theme: Theme = Theme.AUTO
@@ -112,33 +112,30 @@ _Stands = dict[LabelledEdge, list[LabelledEdge]]
 
 def simplify(labelled: LabelledGraph, options: DrawingOptions) -> SimplifiedGraph:
     """Return the part of a graph that is drawn. Each edge is drawn, or another stands for it, or it is counted."""
-    every = AlikeFold(
-        {one: [one] for one in labelled.edges}, {subject: (subject,) for subject in labelled.subjects}, frozenset(), ()
-    )
-    stands, marked = _without_marked(_without_parts(every.edges), options)
+    edges, left = labelled.edges, list[LabelledEdge]()
+    if not options.denials and len(edges) > MOST_LINES:
+        left += (one for one in edges if priority(one, options.transport) == _DEFAULT_DENIAL)
+        edges = tuple(one for one in edges if priority(one, options.transport) < _DEFAULT_DENIAL)
+    folded = AlikeFold({one: [one] for one in edges}, {name: (name,) for name in labelled.subjects}, frozenset(), ())
+    stands, marked = _without_marked(_without_parts(folded.edges), options)
     single = options.split is Split.NONE
     large = len(stands) > (options.limit or MOST_LINES) or (single and len(labelled.subjects) > GROUP_FROM)
-    folded = every
     if options.fold or (options.fold is None and large):
-        folded = fold_alike(labelled.edges, labelled.subjects)
+        folded = fold_alike(edges, labelled.subjects)
         stands, marked = _without_marked(_without_parts(folded.edges), options)
     copies = _copies(folded.edges)
-    left: list[LabelledEdge] = []
-    if not options.denials and len(stands) > MOST_LINES:
-        left += (one for edge in stands if priority(edge, options.transport) == _DEFAULT_DENIAL for one in stands[edge])
-        stands = {one: of for one, of in stands.items() if priority(one, options.transport) < _DEFAULT_DENIAL}
     members: dict[DomainObject, tuple[DomainObject, ...]] = {
         key: (key,) for key in {one.edge.domain_object for one in stands}
     }
     if options.fold or (options.fold is None and len(members) >= FOLD_FROM):
         stands, members = _fold(stands, copies, labelled.patterns | labelled.probes)
-    edges = sorted(stands, key=lambda one: one.edge)
-    many = options.limit is None and len(edges) > MOST_LINES
+    lines = sorted(stands, key=lambda one: one.edge)
+    many = options.limit is None and len(lines) > MOST_LINES
     crowded = many or (single and len(folded.subjects) > GROUP_FROM)
     matrices = crowded if options.group is None else options.group
-    shown = shown_edges(edges, options, matrices=matrices)
+    shown = shown_edges(lines, options, matrices=matrices)
     kept = frozenset(shown)
-    left += (one for edge in edges if edge not in kept for one in stands[edge])
+    left += (one for line in lines if line not in kept for one in stands[line])
     marks: dict[str, list[LabelledEdge]] = defaultdict(list)
     for one in marked:
         marks[one.edge.subject].append(one)
