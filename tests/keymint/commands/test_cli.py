@@ -42,6 +42,7 @@ WRITING |= {
     "export",
     "revoke",
     "remove",
+    "set",
     "renew",
     "crl",
     "sign",
