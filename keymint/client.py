@@ -26,6 +26,7 @@ from comarmor.errors import Diagnostic, Severity
 from comarmor.values import dataclass
 from keymint import cli
 from keymint.api import LoadedPolicy
+from keymint.command_line.agreement import another_policy, confirmed_plan
 from keymint.command_line.options import Names
 from keymint.errors import KeymintError, UnconfirmedError
 from keymint.life.terms import DEFAULT, Threshold
@@ -79,7 +80,7 @@ class Client:
         self._workspace = run.workspace()
         self._session = run.inputs(self._workspace).session()
 
-    def provision(self, subject: str, *, prove: bool = True) -> Enclave:
+    def provision(self, subject: str, *, prove: bool = True, yes: bool = False) -> Enclave:
         """Create, build, sign, prove and install the enclave of a subject that a profile of the policy applies to.
 
         What is there and right stays as it is.
@@ -87,8 +88,10 @@ class Client:
         Args:
             subject: its name, which the policy may name by a wildcard only.
             prove: refuse to sign what is not proven to permit exactly what the policy allows.
+            yes: take all rights from the subject, or take another policy than the workspace had, if it comes to that.
 
         Raises:
+            UnconfirmedError: that would happen, and ``yes`` is not given.
             KeymintError: the name is illegal, no profile applies to it, its certificate was revoked, or a stage fails.
         """
         name = package_name(subject)
@@ -97,9 +100,9 @@ class Client:
             session = inputs.session()
             asked, policy = InstallRequest(prove=prove), self._loaded(session)
             request = Request((name,), (CREATE, BUILD, INSTALL), asked, policy=policy, late=True)
-            return conduct(Work(session), request, run.crew).plan
+            return confirmed_plan(run, conduct(Work(session), request, run.crew), another_policy(run, session, policy))
 
-        run = self._run("provision", name)
+        run = self._run("provision", name, yes=yes)
         enclave = self._enclave(run.carry_out(self._workspace, make_plan), name)
         if not enclave.folder.is_dir():
             message = f"the certificate of {subject_of(name)} was revoked, so nothing is issued for its key"
@@ -181,9 +184,9 @@ class Client:
         enclaves = (self._enclave(report, name) for name in names if name)
         return tuple(each for each in enclaves if each.folder.is_dir())
 
-    def _run(self, verb: str, *arguments: str) -> Run:
+    def _run(self, verb: str, *arguments: str, yes: bool = False) -> Run:
         setting = cli.setting(cli.call_of(("client", verb, *arguments)), Streams(io.StringIO(), io.StringIO()))
-        options = {"quiet": True, "verbose": 0, "as_json": False, "workspace": self._folder, "jobs": 1}
+        options = {"quiet": True, "verbose": 0, "as_json": False, "workspace": self._folder, "jobs": 1, "yes": yes}
         self._latest = Run(setting, verb, options)
         return self._latest
 

@@ -81,6 +81,7 @@ from keymint.api.profiles import WorkspaceProfile as WorkspaceProfile
 from keymint.api.proving import Claim as Claim
 from keymint.api.proving import Counterexample as Counterexample
 from keymint.api.proving import EnclaveFiles as EnclaveFiles
+from keymint.api.proving import InstalledRights as InstalledRights
 from keymint.api.proving import Proof as Proof
 from keymint.api.proving import ProofTask as ProofTask
 from keymint.api.proving import Prover as Prover

@@ -151,6 +151,11 @@ class LoadedPolicy(ABC):
         """
         return bytes(self.decide(Edge(subject, permission, Object(kind, name))).allowed for name in names)
 
+    def root_profiles(self) -> tuple[str, ...]:
+        """Return the labels of the profiles that no other one encloses; none if it does not know its profiles."""
+        structure = self.structure()
+        return tuple(each.name for each in structure.profiles if not each.around) if structure else ()
+
     def rules_digest(self, subject: str) -> str | None:
         """Return a digest that differs if the rules of a subject or their files do.
 

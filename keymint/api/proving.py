@@ -16,7 +16,7 @@ from keymint.api.graph import Edge
 from keymint.api.packages import DomainRange, Package
 from keymint.api.policies import PolicyDecision
 from keymint.api.transports import Endpoint, Verdict
-from keymint.ir import SubjectRules
+from keymint.ir import Rule, SubjectRules
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,6 +206,20 @@ class ValidityTerm:
     models: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True, slots=True)
+class InstalledRights:
+    """What the documents of an enclave grant.
+
+    Attributes:
+        rules: rules in which DENY overrides ALLOW, each of one permission without parts and one expression, on names of
+            the application where the documents say so; their places are those of the documents.
+        domains: the domains in which they apply.
+    """
+
+    rules: tuple[Rule, ...]
+    domains: tuple[DomainRange, ...]
+
+
 class Prover(ABC):
     """Proves claims about installed documents."""
 
@@ -232,3 +246,26 @@ class Prover(ABC):
         Raises:
             KeymintError: no document of the enclave can be read, or the anchors do not vouch for it.
         """
+
+    def rights(
+        self, enclave: EnclaveFiles, subject: str, built: Mapping[str, bytes] | None = None
+    ) -> InstalledRights | None:
+        """Return what an enclave is granted by its signed documents, or by documents that are about to be signed.
+
+        What a run takes from a subject is told, and asked for, only if its build type has this method.
+
+        Args:
+            enclave: the enclave.
+            subject: its subject.
+            built: the unsigned documents by name, shared ones by path, for the subject name of the anchors; None for
+                those that are installed, for the name of the installed certificate.
+
+        Returns:
+            The rights; None if there is no such document.
+
+        Raises:
+            KeymintError: the anchors do not vouch for a document, it cannot be read, or no policy can say what it
+                grants.
+        """
+        del enclave, subject, built
+        return None

@@ -91,7 +91,7 @@ def verb(
             except UnacceptedPackagesError as error:
                 report = _unaccepted_report(run, error)
             except KeymintError as error:
-                report = run.report({}, error.diagnostics, error.exit_code, workspace=run.known_workspace)
+                report = run.report(run.result, error.diagnostics, error.exit_code, workspace=run.known_workspace)
             report = replace(report, diagnostics=(*report.diagnostics, *filter(None, hints)))
             run.console.show(run.presented(run.told(report)))
             context.exit(int(report.exit_code))

@@ -52,7 +52,7 @@ def subject_line(each: SubjectChanges, code: Callable[[str], str] = str) -> str:
     name = (f"{like} (e.g. {subject})" if each.subject else like) if each.like else subject
     if each.before and each.after:
         return f"{name}:"
-    which = "new" if each.after else "no profile applies any more"
+    which = "new" if each.after else "nothing is left"
     return f"{name} ({which}):" if each.changes else f"{name} ({which}), without any permission"
 
 

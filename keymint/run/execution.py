@@ -327,6 +327,7 @@ _TOLD_ONCE = {
     "profile-copied",
     "profile-wide",
 }
+_TOLD_ONCE |= {"policy-replaced", "rights-lost", "rights-unread", "subject-stripped"}
 """Codes of what is told only by a run that does something: signed rights became narrower, and slips in the policy."""
 _TOLD_ANYWAY = {"distro-unnamed", "domain-environment", "element-renamed", "authority-key-missing", ORPHANED, IGNORED}
 """Codes of what each run finds out, whichever packages it looks at."""
@@ -494,5 +495,8 @@ def next_report(plan: Plan, report: Report) -> Report | None:
             detail = step.detail if step.stage == AUTHORITIES else ""
             steps.append(Step(step.stage, step.package, Action.UNCHANGED, detail=detail))
     return replace(
-        report, steps=steps, diagnostics=[each for each in report.diagnostics if each.code not in _TOLD_ONCE]
+        report,
+        steps=steps,
+        diagnostics=[each for each in report.diagnostics if each.code not in _TOLD_ONCE],
+        result=dict.fromkeys(report.result, ()),  # nobody gains or loses anything by doing it again
     )

@@ -128,6 +128,8 @@ class Run:
         self.known_workspace: Workspace | None = None
         self._sight: Sight | None = None
         """The files before a verb that does not write reads them, if its answer may be recorded."""
+        self.result: dict[str, Any] = {}
+        """What the report of a plan has as result, also if the run stops since nobody agrees to the plan."""
         self.interrupted: Journal | None = None
         """The run before, if it did not come to its end."""
         self.folder_names = {f"{setting.cwd}/": ""}
@@ -266,7 +268,7 @@ class Run:
 
         Args:
             reasons: warnings, each with what would be lost.
-            show: shows more about it, before the question only.
+            show: shows more about it, before the question or the errors.
 
         Returns:
             The reasons, to be told with the plan; none if they were shown with the question.
@@ -278,10 +280,10 @@ class Run:
             return tuple(reasons)
         if self._agreed.issuperset(reasons):
             return ()
+        show()
         if self._agrees is None:
             stopped = Diagnostic.error("not-confirmed", "nothing was written", None, "if this is wanted, add --yes")
         else:
-            show()
             self.console.diagnostics([*map(self.as_typed, reasons)])
             if self._agrees("Go on? [y/N] "):
                 self._agreed.update(reasons)
@@ -342,7 +344,7 @@ class Run:
     def _carry_out(self, workspace: Workspace, make_plan: Callable[[Inputs], Plan], exit_code: _ExitCodeOf) -> Report:
         if self.dry_run:
             plan = make_plan(self.snapshot(workspace))
-            return self.report({}, plan.diagnostics, exit_code(plan), workspace=workspace, steps=plan.steps)
+            return self.report(self.result, plan.diagnostics, exit_code(plan), workspace=workspace, steps=plan.steps)
         planned: tuple[Inputs, Plan, Sight] | None = None
         if not workspace.state.is_dir():
             sight = Sight.of(map(str, workspace.spaces()))
@@ -375,7 +377,7 @@ class Run:
             changes = itertools.chain(guards, plan.changes(), log)
             names = ((str(each.folder), each.written, each.removed) for each in changes)
             seen = sight.after(names, visible, clock(workspace.state))
-            report = self.report({}, plan.diagnostics, exit_code(plan), workspace=workspace, steps=plan.steps)
+            report = self.report(self.result, plan.diagnostics, exit_code(plan), workspace=workspace, steps=plan.steps)
             remember(self.setting.call, inputs, plan, self.presented(report), seen, store, self.console)
             store.end()
         return report

@@ -236,7 +236,8 @@ class CreateStage(PackageStage):
         diagnostics = tuple(diagnostic for each in planned for diagnostic in each.diagnostics)
         names = {each.name for each in planned}
         epoch = self._epoch if self._is_followed or names >= self.existing else ""
-        recorded = record_policy(session, self._policy.seen, self._policy.subjects(), epoch)
+        policy = self._policy
+        recorded = record_policy(session, policy.seen, policy.subjects(), epoch, policy.root_profiles())
         gone = [name for name in recorded.stamps.get(STAGE, ()) if name not in names and name not in self.existing]
         return Plan(steps, state_after(recorded, STAGE, planned, gone), diagnostics)
 

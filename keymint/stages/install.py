@@ -6,11 +6,14 @@ from __future__ import annotations
 import stat
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
+from typing import Any
 
 from cryptography import x509
 
 from comarmor.errors import Diagnostic, Severity
 from keymint.api import Package
+from keymint.api.lazy import lazy
 from keymint.authority.authorities import Authorities
 from keymint.authority.authority_files import chains_digest
 from keymint.errors import KeymintError
@@ -53,6 +56,7 @@ from keymint.workspace.package_build_types import (
     build_types_of,
     inputs_digest,
     is_build_current,
+    load_packages,
     record_key,
     shared_type,
     users,
@@ -61,6 +65,7 @@ from keymint.workspace.session import Inputs, Session
 from keymint.workspace.stored_keys import IDENTITY_KEYS, without_recorded_keys
 
 STAGE = INSTALLED
+_changed_rights = lazy("keymint.stages.changed_rights:changed_rights")  # a new fleet has nothing to compare
 _STALE = "is stale; signing the existing build"
 
 
@@ -72,9 +77,13 @@ class InstallStage(PackageStage):
         authorities: the authorities that issue and sign, by name.
         prune: remove installed enclaves that have no source package.
         settled: packages that nothing changed for.
+
+    Attributes:
+        rights: what subjects gain and lose by the plan that was made last.
     """
 
     NAME = STAGE
+    rights: tuple[Any, ...] = ()
 
     def __init__(
         self, session: Session, authorities: Authorities, *, prune: bool, settled: frozenset[str] = frozenset()
@@ -105,6 +114,7 @@ class InstallStage(PackageStage):
         changed = {each.name: (each.build_types, each.artifacts) for each in planned if each.build_types}
         removed = orphans(session) if prune else ()
         shared = _plan_shared(session, [each.name for each in planned], self._authorities, removed)
+        self.rights = tuple(found for each in (*planned, *shared) for found in each.rights)
         withdrawn = {each.name: each.withdrawn for each in planned if each.withdrawn}
         changes = installed_enclaves.EnclaveChanges(changed, frozenset((*removed, *withdrawn)))
         scripts, foreign = plan_scripts(session, installed_enclaves.build_types_in_use(session, changes))
@@ -245,6 +255,7 @@ def _plan_enclave(session: Session, name: str, authorities: Authorities, keyring
         outdated=is_recorded and not is_build_current(session, name),
         issued=issued,
         signed=_signed(session, package, new),
+        rights=tuple(_changed_rights(session, package, documents)) if changes and existing else (),
     )
 
 
@@ -298,7 +309,10 @@ def _plan_shared_documents(session: Session, key: str, authorities: Authorities,
     made = _stamp(inputs_of(session, key) or "", files, build_types=(shared_type(key),))
     step = Step(STAGE, "", action, changes, f"{', '.join(documents)}, for all enclaves")
     diagnostics = (*stale, *edits(session, key, documents))
-    return PackagePlan(key, step if changes else None, made, diagnostics)
+    name = shared_type(key)
+    found = (_changed_rights(session, each, documents, name) for each in load_packages(session, name) if existing)
+    rights = tuple(chain.from_iterable(found)) if changes else ()
+    return PackagePlan(key, step if changes else None, made, diagnostics, rights=rights)
 
 
 def _stamp(inputs: str, files: Mapping[str, File], lifetimes: str = "", build_types: tuple[str, ...] = ()) -> Stamp:

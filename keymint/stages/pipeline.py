@@ -144,6 +144,7 @@ def _conducted(start: Work, request: Request, crew: Crew) -> Work:
         stage = stages[INSTALL](unsigned, settled=settled)
         planned = _planned(stage, names, crew, settled)
         work = _checked(work.then(stage.plan(planned), INSTALL), INSTALL, request)
+        work = replace(work, rights=stage.rights)
         if superseding := _superseding(changed.session, work.of(INSTALL), request):
             crew.close()
             return _conducted(start, superseding, crew)

@@ -72,6 +72,8 @@ class PackagePlan:
         outdated: the package's sources changed after its documents were built.
         issued: the certificate of its enclave and the rights that were signed for it, if its enclave changes.
         signed: the documents that its holder presents, if its enclave changes.
+        rights: what its subject gains and loses (:class:`keymint.analysis.policy_diff.SubjectChanges`); of documents
+            over all packages, what all subjects do.
         withdrawn: why no certificate is issued to it, although it is built; see
             :meth:`keymint.life.register.Register.barred`.
     """
@@ -88,6 +90,7 @@ class PackagePlan:
     outdated: bool = False
     issued: IssuedCertificate | None = None
     signed: tuple[SignedRights, ...] = ()
+    rights: tuple[Any, ...] = ()
     withdrawn: str = ""
 
 
@@ -166,10 +169,12 @@ class Work:
     Attributes:
         session: the workspace after all plans, with its profile as it is then.
         parts: the plans in the order in which they are carried out, each with the name of what made it, or none.
+        rights: what subjects gain and lose by it, as those of a plan for a package.
     """
 
     session: Session
     parts: tuple[tuple[str, Plan], ...] = ()
+    rights: tuple[Any, ...] = ()
 
     @classmethod
     def after(cls, inputs: Inputs, plan: Plan) -> Self:

@@ -23,8 +23,10 @@ from keymint.workspace import shipped_profiles
 from keymint.workspace.session import Session
 from keymint.workspace.shipped_profiles import installed_packages, refuse_unaccepted
 
-_STAGE, _FILES, _SUBJECTS = "policy", "seen", "subjects"
-"""Keys of the record of the policy: the paths that it was read from, and the subjects that it names."""
+_STAGE, _FILES, _SUBJECTS, _PROFILES = "policy", "seen", "subjects", "profiles"
+"""Keys of the record of the policy: the paths that it was read from, the subjects that it names, and its profiles."""
+_MOST_PROFILES = 1_000
+"""About how many profiles the record names: enough to know a policy again."""
 
 
 def load_policy(session: Session, *, trust_links: bool = False) -> LoadedPolicy:
@@ -142,7 +144,16 @@ def recorded_files(session: Session) -> Mapping[str, str] | None:
 
 def recorded_subjects(session: Session) -> frozenset[str]:
     """Return the subjects that the policy named when it was recorded."""
-    recorded = session.state.stamp(_STAGE, _SUBJECTS)
+    return _recorded(session, _SUBJECTS)
+
+
+def recorded_profiles(session: Session) -> frozenset[str]:
+    """Return outermost profiles of the policy that the packages were made from, wherever the workspace was then."""
+    return _recorded(session, _PROFILES)
+
+
+def _recorded(session: Session, key: str) -> frozenset[str]:
+    recorded = session.state.stamp(_STAGE, key)
     return frozenset(recorded.outputs if recorded is not None else ())
 
 
@@ -152,7 +163,9 @@ def recorded_epoch(state: State) -> str:
     return recorded.context if recorded is not None else ""
 
 
-def record_policy(session: Session, seen: Mapping[Path, bytes], subjects: Iterable[str], epoch: str = "") -> State:
+def record_policy(
+    session: Session, seen: Mapping[Path, bytes], subjects: Iterable[str], epoch: str = "", profiles: Sequence[str] = ()
+) -> State:
     """Return the state with a policy on record.
 
     Args:
@@ -160,12 +173,16 @@ def record_policy(session: Session, seen: Mapping[Path, bytes], subjects: Iterab
         seen: the paths that the policy was read from, each with its fingerprint; see :attr:`LoadedPolicy.seen`.
         subjects: the subjects that it names.
         epoch: see :func:`recorded_epoch`.
+        profiles: its outermost profiles; none if it was not loaded, so that they are those on record.
     """
     locations, outputs = locations_digest(session), {str(path): value.hex() for path, value in seen.items()}
     stamps = {
         _FILES: Stamp(locations, outputs, context=epoch),
         _SUBJECTS: Stamp(locations, dict.fromkeys(subjects, "")),
     }
+    if profiles:
+        some = profiles[:: len(profiles) // _MOST_PROFILES + 1]
+        stamps[_PROFILES] = Stamp(locations, dict.fromkeys(some, ""))
     return session.state.updated(_STAGE, stamps)
 
 
@@ -201,6 +218,10 @@ class _LazyPolicy(LoadedPolicy):
     def subjects(self) -> tuple[str, ...]:
         """Return the subjects that the policy names exactly."""
         return self._subjects
+
+    def root_profiles(self) -> tuple[str, ...]:
+        """Return nothing: the record knows them."""
+        return ()
 
     def rules(self, subject: str) -> SubjectRules | None:
         """Return the rules of a subject."""

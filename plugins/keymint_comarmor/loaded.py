@@ -56,6 +56,10 @@ class ComArmorPolicy(LoadedPolicy):
             known = self._known[subject] = SubjectRules(subject, self.policy.rules(subject))
         return known
 
+    def root_profiles(self) -> tuple[str, ...]:
+        """See :meth:`keymint.api.LoadedPolicy.root_profiles`."""
+        return tuple(profile.name for profile in self.policy.profiles)
+
     def rules_digest(self, subject: str) -> str | None:
         """See :meth:`keymint.api.LoadedPolicy.rules_digest`."""
         return self.policy.rules_digest(subject)

@@ -18,6 +18,7 @@ class DdsProver(Prover):
     differences = lazy("keymint_ros2_dds.examine.enclave_rules:differences")
     prove = lazy("keymint_ros2_dds.enclave_proof:prove")
     terms = lazy("keymint_ros2_dds.enclave_proof:terms")
+    rights = lazy("keymint_ros2_dds.keystores.grants_as_rules:installed_rights")
 
 
 class SignedPermissions(Presentation):

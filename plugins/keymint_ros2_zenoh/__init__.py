@@ -18,6 +18,7 @@ class ZenohProver(Prover):
     terms = lazy("keymint_ros2_zenoh.examine.enclaves:terms")
     assumptions = lazy("keymint_ros2_zenoh.proving.enclave_proof:assumptions")
     prove = lazy("keymint_ros2_zenoh.proving.enclave_proof:prove")
+    rights = lazy("keymint_ros2_zenoh.proving.granted_rights:rights")
 
 
 class Zenoh(BuildType):

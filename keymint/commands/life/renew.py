@@ -10,9 +10,10 @@ from typing import Any
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import quantity
+from keymint.command_line.agreement import confirmed_plan
 from keymint.command_line.options import Names, names_group, prove_option, threshold
 from keymint.command_line.verb import Report, Run, findings_if, flag, option, verb
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, UnconfirmedError
 from keymint.life.package_issuance import plan_issuance
 from keymint.life.renewal_schedule import (
     PERMISSIONS,
@@ -121,6 +122,8 @@ def _renewal(
         try:
             plan = _issued_again(run, session, due, names, rekey=rekey, prove=prove)
             break
+        except UnconfirmedError:
+            raise
         except KeymintError as error:
             if {each.code for each in error.diagnostics} == {NOT_HERE}:
                 severity = Severity.WARNING if run.dry_run else Severity.ERROR
@@ -211,7 +214,7 @@ def _issued_again(run: Run, session: Session, due: Schedule, names: Sequence[str
         refresh=[each.name for each in due.lists],
         list_end=None if None in ends else max(filter(None, ends), default=None),
     )
-    plan = conduct(Work(session), request, run.crew).plan
+    plan = confirmed_plan(run, conduct(Work(session), request, run.crew))
     refuse_new_authorities(session, plan)
     return plan
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import click
 
@@ -16,7 +17,7 @@ from keymint.names import no_subject
 from keymint.stages.create import packages_to_create
 from keymint.stages.pipeline import CREATE, Request, conduct
 from keymint.stages.work import InstallRequest, Work
-from keymint.store.changes import Plan
+from keymint.store.changes import Action, Plan
 from keymint.workspace.policy_loading import lazy_policy, plan_acceptance
 from keymint.workspace.session import Session
 from keymint.workspace.shipped_profiles import plan_release
@@ -60,7 +61,7 @@ class AcceptanceOptions:
 acceptance_options = option_group(AcceptanceOptions)
 
 
-@verb(jobs=True, dry_run=True, former={"trust_package": "--accept-package"})
+@verb(jobs=True, dry_run=True, yes=True, former={"trust_package": "--accept-package"})
 def create(
     run: Run,
     names: Names = names_group(state=False),
@@ -96,7 +97,13 @@ def create(
             raise no_subject("name the subjects: keymint create /robot1/talker")
         asked = InstallRequest(force=force)
         request = Request(tuple(subjects), (CREATE,), asked, policy=policy, valid_for=valid_for or "")
-        return conduct(work, request, run.crew).plan
+        work = conduct(work, request, run.crew)
+        from keymint.command_line.agreement import another_policy, confirmed_plan  # noqa: PLC0415 - not for 'provision'
+        from keymint.stages.changed_rights import rights_of_sources  # noqa: PLC0415 - as above
+
+        changed = work.of(CREATE).of_action(Action.UPDATED)
+        work = replace(work, rights=tuple(rights_of_sources(work.session, sorted(changed))))
+        return confirmed_plan(run, work, another_policy(run, session, policy), policy)
 
     return run.change(make_plan)
 

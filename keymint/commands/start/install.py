@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import click
 
 from comarmor.errors import Diagnostic
+from keymint.command_line.agreement import confirmed_plan
 from keymint.command_line.options import Names, install_request, names_group, standard_only_option
 from keymint.command_line.verb import Report, Run, findings_exit, verb
 from keymint.commands.start.build import no_packages
@@ -21,7 +22,7 @@ from keymint.workspace.policy_loading import lazy_policy
 from keymint.workspace.session import Session
 
 
-@verb(jobs=True, dry_run=True)
+@verb(jobs=True, dry_run=True, yes=True)
 def install(
     run: Run,
     names: Names = names_group(),
@@ -53,6 +54,6 @@ def install(
         asked = request.resumed(resumes=run.resumes)
         policy = lazy_policy(session) if request.prove else None
         installation = Request(chosen, (INSTALL,), asked, policy=policy, follow=False, notes=notes)
-        return conduct(Work(session), installation, run.crew).plan
+        return confirmed_plan(run, conduct(Work(session), installation, run.crew))
 
     return run.change(make_plan, exit_code)

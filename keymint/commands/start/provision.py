@@ -68,10 +68,12 @@ def provision(
         refuse_contradiction(run, workspace, profile)
 
     def make_plan(inputs: Inputs) -> Plan:
-        if inputs.workspace.exists():
-            session = inputs.session()
+        before = inputs.session() if inputs.workspace.exists() else None
+        moved: Path | None = None
+        if before:
             own = create.policy_path(run.setting.cwd / policy, inputs.workspace.profile)
-            work = Work(session).then(create.plan_policy(session, own))
+            named = create.plan_policy(before, own)
+            work, moved = Work(before).then(named), policy if named.writes() else None
         else:
             work = Work.after(inputs, create.plan_init(inputs, profile.profile_type or DEFAULT_PROFILE_TYPE, bootstrap))
             create.refuse_unsupported(work.session)
@@ -100,7 +102,13 @@ def provision(
             late=True,
             notes=lambda done: _notes(done, acquired, prune=request.prune),
         )
-        return conduct(work, everything, run.crew).plan
+        work = conduct(work, everything, run.crew)
+        if before is None or not work.plan.writes():
+            run.result["rights"] = []
+            return work.plan
+        from keymint.command_line.agreement import another_policy, confirmed_plan  # noqa: PLC0415 - not for a new fleet
+
+        return confirmed_plan(run, work, another_policy(run, before, acquired, moved), acquired)
 
     return run.carry_out(workspace, make_plan)
 

@@ -20,14 +20,22 @@ from comarmor.patterns.tokens import PatternError
 from comarmor.rules import Effect, Rule
 from comarmor.text import quote
 from comarmor.values import dataclass
-from keymint.api import DomainRange, FoundEnclave, GrantedRules, KeystoreFiles
+from keymint.api import DomainRange, EnclaveFiles, FoundEnclave, GrantedRules, InstalledRights, KeystoreFiles
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.pki import certificates, smime
+from keymint.pki.distinguished_names import parse
 from keymint_ros2_dds import subject_names
 from keymint_ros2_dds.decision.semantics import STANDARD
 from keymint_ros2_dds.domains import in_words, merged_domains
-from keymint_ros2_dds.enclave_layout import CA, CERTIFICATE, PERMISSIONS_CA, PERMISSIONS_P7S
+from keymint_ros2_dds.enclave_layout import (
+    CA,
+    CERTIFICATE,
+    PERMISSIONS_CA,
+    PERMISSIONS_P7S,
+    PERMISSIONS_ROLE,
+    PERMISSIONS_XML,
+)
 from keymint_ros2_dds.lowering.name_mapping import TopicAction, in_ros
 from keymint_ros2_dds.proving.document_lists import have_partitions
 from keymint_ros2_dds.proving.enclave_governance import cuts
@@ -58,6 +66,30 @@ def granted_rules(keystore: KeystoreFiles, enclave: FoundEnclave, distro: str) -
     return GrantedRules(
         SubjectRules(enclave.subject, rules), signed.content, where.file, signed.lines_before, name, domains, findings
     )
+
+
+def installed_rights(
+    enclave: EnclaveFiles, subject: str, built: Mapping[str, bytes] | None = None
+) -> InstalledRights | None:
+    """Return what the permissions of an enclave grant; see :meth:`keymint.api.Prover.rights`.
+
+    Raises:
+        KeymintError: the anchors do not vouch for them, they cannot be read, or no policy can say what they grant.
+    """
+    files, anchors, name = enclave.files, enclave.anchors, PERMISSIONS_P7S if built is None else PERMISSIONS_XML
+    if name not in (files if built is None else built):
+        return None
+    where = Origin(f"{enclave.folder}/{name}")
+    if built is None:
+        signed = smime.read(files[name], anchors.authorities[PERMISSIONS_ROLE].chain, where=where)
+        document = signed_permissions.read(signed.content, where.file, signed.lines_before)
+        identity = certificates.load(files.get(CERTIFICATE, b""), Origin(f"{enclave.folder}/{CERTIFICATE}")).subject
+    else:
+        document, identity = signed_permissions.read(built[name], where.file), parse(anchors.subject_name)
+    if document.defects:
+        raise KeymintError.of(document.defects)
+    rules, domains, _ = rules_of(document, subject_names.of_any(identity), subject, anchors.distro)
+    return InstalledRights(rules, domains)
 
 
 def rules_of(

@@ -18,9 +18,10 @@ from keymint_ros2_zenoh.documents.configuration import Flow, Message
 from keymint_ros2_zenoh.keyexpr import ALPHABET, VERBATIM
 from keymint_ros2_zenoh.lowering import permissions
 
-_KIND = {
+KIND = {
     "ros_publish": "ros_topic", "ros_subscribe": "ros_topic", "ros_call": "ros_service", "ros_execute": "ros_service",
 }  # fmt: skip
+"""The kind of each permission."""
 _ROS_NAMES = charset((ord(char), ord(char)) for char in ALPHABET)
 
 
@@ -45,7 +46,7 @@ def edges(subject: str, key: str, message: Message, flow: Flow) -> Iterator[Edge
     meaning = meaning_of(key)
     if meaning is not None:
         domain, name, place = meaning
-        for permission, kind in _KIND.items():
+        for permission, kind in KIND.items():
             if permission in permissions.USERS[permissions.Slot(message, flow, place)]:
                 yield Edge(subject, permission, Object(kind, name), domain)
 

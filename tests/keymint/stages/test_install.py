@@ -17,7 +17,7 @@ def test_again_writes_nothing(keymint, just_provisioned: Path) -> None:
 
 def test_what_was_not_built(keymint, provisioned: Path, policy: Path) -> None:
     policy.write_text(policy.read_text().replace("<attachment>/talker<", "<attachment>/speaker<"))
-    keymint("create", "--all", cwd=provisioned)
+    keymint("create", "--all", "--yes", cwd=provisioned)
     outcome = keymint("install", cwd=provisioned)
     assert outcome.code == 1
     assert "the package speaker is not built (run 'keymint build speaker')" in outcome.err

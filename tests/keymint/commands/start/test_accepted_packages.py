@@ -402,7 +402,7 @@ def test_an_acceptance_does_not_outlive_its_include(keymint, accepted: Path, tmp
     assert [path.name for path in copies.rglob("*.xml")] == ["other.xml"]
     assert keymint(*verb, "-w", "ws").out.startswith("nothing to do")
     (tmp_path / "policy.xml").write_text(including())
-    assert keymint(*verb, "-w", "ws").code == 0
+    assert keymint(*verb, "-w", "ws", "--yes").code == 0
     assert not lock.exists()
     assert not any(path.is_file() for path in copies.rglob("*"))
     (tmp_path / "policy.xml").write_text(including(HREF))

@@ -54,7 +54,7 @@ def test_a_comment_in_the_policy_builds_nothing(keymint, provisioned: Path, poli
 def test_another_policy_for_the_same_workspace(keymint, provisioned: Path, tmp_path: Path) -> None:
     other = tmp_path / "other.xml"
     other.write_text("<profiles><profile name='x'><attachment>/x</attachment></profile></profiles>")
-    outcome = keymint("provision", other, "-w", "ws")
+    outcome = keymint("provision", other, "-w", "ws", "--yes")
     assert outcome.code == 0, outcome.err
     assert (provisioned / "install/enclaves/x/key.pem").is_file()
     assert "no profile of the policy applies to /talker any more" in outcome.err

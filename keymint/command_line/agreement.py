@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a plan takes from subjects: a dry run shows it, and the user must agree before it is carried out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import islice
+from pathlib import Path
+
+from comarmor.errors import Diagnostic, Origin
+from comarmor.text import first_few, quantity
+from keymint.analysis.permission_changes import rule_changes
+from keymint.analysis.policy_diff import SubjectChanges
+from keymint.analysis.symbolic_search import QueryBudget
+from keymint.api import LoadedPolicy
+from keymint.names import name_of, subject_list, subject_of
+from keymint.output.differences import as_text, differences_json, summary
+from keymint.run.run import Run
+from keymint.stages.work import Work
+from keymint.store.changes import Action, Plan
+from keymint.workspace.installed_enclaves import enclave_names
+from keymint.workspace.policy_loading import recorded_profiles, recorded_subjects
+from keymint.workspace.session import Session
+
+FEWEST, SHARE = 5, 10
+"""The user is asked if at least so many subjects lose something, and these are at least one of so many."""
+_LINES = 40
+"""Lines about rights that a person reads before an answer."""
+
+
+def confirmed_plan(
+    run: Run, work: Work, reasons: Sequence[Diagnostic] = (), policy: LoadedPolicy | None = None
+) -> Plan:
+    """Return the plan of some work, once the user agrees to what it takes away; see :meth:`Run.confirm`.
+
+    A dry run shows who gains and loses which right. What cannot be read stops nobody, unless nothing is left after it:
+    an enclave that was damaged must stay easy to restore.
+
+    Args:
+        run: the run; its result gets the rights.
+        work: the work.
+        reasons: what else the user must agree to.
+        policy: the policy, for what new subjects gain; by default the rules of their packages.
+
+    Raises:
+        UnconfirmedError: nobody agreed.
+    """
+    plan, session = work.plan, work.session
+    changes = {each.subject: each for each in reversed(work.rights)}  # of several transports the first one says it
+    created = plan.of_action(Action.CREATED).intersection(session.packages())
+    if run.dry_run and {*enclave_names(session)}.difference(session.infrastructure(), created):
+        for name in created.difference(session.infrastructure()):
+            rules = (policy.rules(subject_of(name)) if policy else None) or session.package(name).grant.rules
+            gains = tuple(rule_changes((), rules.rules, QueryBudget()))
+            changes[subject_of(name)] = SubjectChanges(subject_of(name), None, False, True, gains)
+    rights = [changes[subject] for subject in sorted(changes)]
+    run.result["rights"] = differences_json(rights, run.typed)
+
+    def show() -> None:
+        if rights:
+            lines = (*as_text(rights, run.place), summary(rights))
+            run.console.lines(islice(lines, None if run.dry_run else _LINES))
+
+    if run.dry_run:
+        show()
+    told = run.confirm((*reasons, *_losses(session, rights)), show)
+    return plan.noting(*told, *_unread(rights))
+
+
+def another_policy(
+    run: Run, session: Session, policy: LoadedPolicy, path: Path | None = None
+) -> tuple[Diagnostic, ...]:
+    """Return what the user must agree to if another policy takes the place of the one that a workspace has packages of.
+
+    A policy that moved, or has another name, is the same one: what counts is which profiles it has. That of the same
+    path is another one only if it names other subjects as well, since its profiles may have new names.
+
+    Args:
+        run: the run.
+        session: the workspace before it.
+        policy: the policy.
+        path: its path, if the workspace named another one.
+    """
+    old, new = recorded_profiles(session), {*policy.root_profiles()}
+    is_known = len(old & new) * 2 >= min(len(old), len(new))  # also if the record does not tell
+    if is_known or (path is None and not recorded_subjects(session).isdisjoint(policy.subjects())):
+        return ()
+    names = (first_few(sorted(each)) for each in (new, old))
+    message = "is another policy than the workspace has: its profiles are {}, and those before are {}".format(*names)
+    where = Origin(run.typed(str(path or session.profile.policies[0].path)))
+    help_ = "is it the right file, and the right workspace?"
+    return (Diagnostic.warning("policy-replaced", message, where, help_),)
+
+
+def _losses(session: Session, rights: Sequence[SubjectChanges]) -> Iterator[Diagnostic]:
+    """Yield what the user must agree to."""
+    if stripped := [each.subject for each in rights if not each.after]:
+        of_whom = stripped[0] if len(stripped) == 1 else f"{len(stripped)} subjects: {subject_list(stripped)}"
+        help_ = "is it the right policy? name them in it, or remove their folders in src/ if they are gone"
+        yield Diagnostic.warning("subject-stripped", f"this takes all rights from {of_whom}", None, help_)
+    losing = [each.subject for each in rights if any(not one.gains for one in each.changes)]
+    if len(losing) >= FEWEST:
+        new = {name_of(each.subject) for each in rights if not each.before}
+        total = len({*enclave_names(session)}.difference(session.infrastructure(), new))
+        if len(losing) * SHARE >= total:
+            message = f"this takes rights from {len(losing)} of {quantity(total, 'subject')}: {subject_list(losing)}"
+            yield Diagnostic.warning("rights-lost", message, None, "--dry-run shows which")
+
+
+def _unread(rights: Sequence[SubjectChanges]) -> Iterator[Diagnostic]:
+    """Yield a warning about subjects of which it is not known what they gain or lose, if there are any."""
+    if unknown := {each.subject: one.unknown for each in rights for one in each.changes if one.unknown}:
+        message = f"what {subject_list([*unknown])} gain or lose is unknown: {next(iter(unknown.values()))}"
+        yield Diagnostic.warning("rights-unread", message, None, "'keymint check' examines what is installed")
