@@ -9,7 +9,6 @@ from types import MappingProxyType
 
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes
-from cryptography.hazmat.primitives.asymmetric import ec, padding
 from cryptography.x509.oid import ExtendedKeyUsageOID, ExtensionOID
 
 from comarmor.errors import Diagnostic, Origin
@@ -144,10 +143,7 @@ def fill(
         x509.SubjectKeyIdentifier.from_public_key(public_key).digest,
         after,
     )
-    if isinstance(signer, ec.EllipticCurvePrivateKey):
-        signature = signer.sign(body, ec.ECDSA(digest))
-    else:
-        signature = signer.sign(body, padding.PKCS1v15(), digest)
+    signature = keys.signature_over(body, signer, digest)
     return der.tlv(der.SEQUENCE, body, algorithm, der.tlv(der.BIT_STRING, b"\0", signature))
 
 

@@ -21,8 +21,8 @@ from typing import cast
 
 from cryptography import x509
 from cryptography.exceptions import UnsupportedAlgorithm
-from cryptography.hazmat.primitives import serialization
-from cryptography.hazmat.primitives.asymmetric import ec, rsa
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec, padding, rsa
 
 from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
@@ -104,6 +104,13 @@ def generate(spec: KeySpec, where: Origin | None = None) -> PrivateKey:
 def is_in_memory(key: PrivateKey) -> bool:
     """Return whether a private key is the library's own, not one in a token."""
     return type(key).__module__.startswith("cryptography.")
+
+
+def signature_over(data: bytes, key: PrivateKey, digest: hashes.HashAlgorithm) -> bytes:
+    """Return the signature of a key in memory: ECDSA, or RSA with PKCS #1 v1.5."""
+    if isinstance(key, ec.EllipticCurvePrivateKey):
+        return key.sign(data, ec.ECDSA(digest))
+    return key.sign(data, padding.PKCS1v15(), digest)
 
 
 def kind_of(key: PrivateKey | PublicKey) -> KeySpec:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import replace
 
 import pytest
@@ -36,6 +37,27 @@ def test_signatures_of_all_keys_and_digests_verify(spec, kind: KeySpec, digest) 
     own = cms.parse(cms.sign(TEXT, issuer.certificate, issuer.key))
     assert own.digest == "sha256"
     assert cms.verify(own, TEXT, issuer.certificate)
+
+
+@pytest.mark.parametrize(
+    "kind", [KeySpec("ec", "SECP256R1"), KeySpec("ec", "SECP384R1"), KeySpec("rsa", size=2048)], ids=str
+)
+def test_a_signature_is_what_the_library_writes(spec, kind: KeySpec) -> None:
+    key = keys.generate(kind)
+    signer = certificates.issue(spec("CN=ca"), key.public_key(), key, authority=True).certificate
+    options = [pkcs7.PKCS7Options.DetachedSignature, pkcs7.PKCS7Options.Binary, pkcs7.PKCS7Options.NoCapabilities]
+    first = cms.parse(cms.sign(b"first", signer, key))
+    for number in range(20):  # the length of an ECDSA signature varies
+        text = b"x" * number
+        signed = cms.sign(text, signer, key)
+        builder = pkcs7.PKCS7SignatureBuilder().set_data(text).add_signer(signer, key, hashes.SHA256())
+        found, expected = (cms.parse(each) for each in (signed, builder.sign(serialization.Encoding.DER, options)))
+        assert cms.verify(found, text, signer)
+        assert not cms.verify(found, text + b"y", signer)
+        assert len(found.attributes) == len(expected.attributes)
+        assert replace(found, value=b"", attributes=b"") == replace(expected, value=b"", attributes=b"")
+        digests = (hashlib.sha256(each).digest() for each in (b"first", text))
+        assert found.attributes == first.attributes.replace(*digests)
 
 
 def test_a_signature_is_of_its_certificate_only(authority: certificates.Issuer, other: certificates.Issuer) -> None:
