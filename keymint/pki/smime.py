@@ -344,6 +344,7 @@ def _by_lines(document: bytes, where: Origin | None) -> SignedDocument:
     return SignedDocument(content, signature, _BEFORE_CONTENT, _DIGESTS[digest])
 
 
+@functools.lru_cache(maxsize=16)
 def _written(document: bytes) -> SignedDocument | None:
     """Return the parts of a document in the form that Keymint writes; None for one to be judged line by line."""
     head = _HEAD.match(document)

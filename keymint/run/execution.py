@@ -34,7 +34,7 @@ from keymint.life.examine import IGNORED, ORPHANED, RIGHTS_OUTLIVE
 from keymint.life.revocation_lists_in_force import loaded_lists
 from keymint.output.console import Console
 from keymint.output.report import Report
-from keymint.stages.work import Crew, PackagePlan, PackageStage, session_after
+from keymint.stages.work import Crew, NewPackages, PackagePlan, PackageStage, planned_by, session_after
 from keymint.store.changes import Action, File, FolderChange, Plan, Step
 from keymint.store.file_writing import c_function
 from keymint.store.journal import Journal
@@ -90,14 +90,14 @@ class Workers(Crew):
 
         # What the first package needs is imported, compiled and proven once for all processes.
         with contextlib.suppress(KeymintError):
-            for _ in _plan(session, names[:1], stages):
+            for _ in _plan(session, names[:1], stages, self.new):
                 pass
         if trim := c_function("malloc_trim"):  # the processes inherit what the parsed policy took and is free
             trim(0)
         context = multiprocessing.get_context("fork")
         for part in parts:
             here, there = context.Pipe()
-            process = context.Process(target=_work, args=(there, [*self._pipes, here], session, part, stages))
+            process = context.Process(target=_work, args=(there, [*self._pipes, here], session, part, stages, self.new))
             with held_signals():  # the process keeps them blocked: this one decides
                 process.start()
             there.close()
@@ -234,6 +234,7 @@ def _work(
     session: Session,
     names: Sequence[str],
     stages: _Stages,
+    new: NewPackages | None,
 ) -> None:
     """Plan packages and send the plans stage by stage; stage them when the parent says so.
 
@@ -244,7 +245,7 @@ def _work(
         each.close()
     with contextlib.suppress(EOFError, OSError):
         try:
-            changes = _planned_in_parts(pipe.send_bytes, session, names, stages)
+            changes = _planned_in_parts(pipe.send_bytes, session, names, stages, new)
             pipe.recv()
             store = open_store(session.workspace)
             staged = [[each for part in of_stage for each in store.stage(part)] for of_stage in changes]
@@ -258,7 +259,7 @@ def _work(
 
 
 def _planned_in_parts(
-    send: Callable[[memoryview], None], session: Session, names: Sequence[str], stages: _Stages
+    send: Callable[[memoryview], None], session: Session, names: Sequence[str], stages: _Stages, new: NewPackages | None
 ) -> list[list[Iterable[FolderChange]]]:
     """Plan packages part by part, send the plans of all of them stage by stage, and return the changes of each stage.
 
@@ -271,7 +272,7 @@ def _planned_in_parts(
     refused: KeymintError | None = None
     for part in parts:
         is_last = part is parts[-1]
-        planned = _plan(session.apart(), part, stages[: len(answers)])
+        planned = _plan(session.apart(), part, stages[: len(answers)], new)
         for number, of_stage in enumerate(answers):
             try:
                 plans, changed = next(planned)
@@ -292,11 +293,13 @@ def _planned_in_parts(
     return changes
 
 
-def _plan(session: Session, names: Sequence[str], stages: _Stages) -> Iterator[tuple[list[Any], list[FolderChange]]]:
+def _plan(
+    session: Session, names: Sequence[str], stages: _Stages, new: NewPackages | None
+) -> Iterator[tuple[list[Any], list[FolderChange]]]:
     """Plan packages, and yield the plans of each stage without their bytes, and the changes of each stage."""
     for start in stages:
         stage = start(session)
-        planned = [stage.package(name) for name in names]
+        planned = planned_by(stage, names, new)
         plans = [each for each in planned if isinstance(each, PackagePlan)]
         changes = [change for each in plans if each.step for change in each.step.changes]
         yield [_without_bytes(each) for each in plans] or planned, changes

@@ -13,6 +13,7 @@ from keymint.api import BuildOptions, BuildResult, LoadedPolicy, Package
 from keymint.errors import KeymintError
 from keymint.life import terms
 from keymint.life.package_issuance import place_of
+from keymint.life.terms import Term
 from keymint.names import name_of, subject_of
 from keymint.stages import identities
 from keymint.stages.documents import (
@@ -23,8 +24,8 @@ from keymint.stages.documents import (
     refuse_edits,
     removals,
 )
-from keymint.stages.work import InstallRequest, PackagePlan, PackageStage, state_after, steps_of
-from keymint.store.changes import Action, DocumentSize, File, FolderChange, Plan, Step, by_folder
+from keymint.stages.work import InstallRequest, NewPackage, PackagePlan, PackageStage, state_after, steps_of
+from keymint.store.changes import Action, DocumentSize, File, FolderChange, Plan, Step, by_folder, same_file
 from keymint.view.stamps import Stamp, digest
 from keymint.workspace import package_build_types
 from keymint.workspace.policy_loading import lazy_policy
@@ -57,6 +58,7 @@ class BuildStage(PackageStage):
         self._asked = asked
         self._followers = followers
         self._policy = policy
+        self._files: dict[str, File] = {}
 
     def package(self, name: str) -> PackagePlan:
         """Return the plan for a package."""
@@ -67,6 +69,27 @@ class BuildStage(PackageStage):
         except KeymintError as error:
             return PackagePlan(name, errors=self._in_policy(error.diagnostics, subject))
         return replace(plan, diagnostics=self._in_policy(plan.diagnostics, subject))
+
+    def new(self, new: NewPackage) -> PackagePlan:
+        """See :meth:`keymint.stages.work.PackageStage.new`."""
+        session, name, workspace = self._session, new.name, self._session.workspace
+        contents = {file: each.content for file, each in new.sources.items()}
+        folder, install = workspace.shown(f"{workspace.src}/{name}"), str(workspace.install)
+        build_type = session.plugins.build_type
+        package = session.package_type.load(session.profile, name, folder, contents, build_type, install)
+        new.package = package
+        digests = {file: each.digest for file, each in new.sources.items()}
+        new.inputs = package_build_types.inputs_digest(session, name, package.build_types, digests)
+        options = options_of(self._options_of(name), package.subject)
+        built = _built(session, package, options)
+        new.documents = {file: same_file(self._files, file, content) for file, content in built.documents.items()}
+        new.key, fingerprint = identities.mint(session, package)
+        change = FolderChange(f"{workspace.build}/{name}", new.documents)
+        sizes = _sizes(built, dict(sorted(built.plain_sizes.items())))
+        step = Step(STAGE, name, Action.CREATED, (new.key, change), *sizes)
+        stamp, own = _stamp(session, new.inputs, new.documents, digest(repr(options)), package)
+        new.built = PackagePlan(name, step, stamp, built.diagnostics, fingerprint=fingerprint, lifetimes=own)
+        return new.built
 
     def _options_of(self, name: str) -> BuildOptions:
         return self._asked.build or options_as_built(self._session, name)
@@ -175,22 +198,35 @@ def _plan_documents(session: Session, name: str, options: BuildOptions, *, force
     minted, fingerprint = _key(session, package, rekey=rekey, restore=force) if package else ((), "")
     before = stamp is not None or any(content is not None for content in existing.values())
     action = (Action.UPDATED if before else Action.CREATED) if changes or minted else Action.UNCHANGED
-    bytes_of = {file: len(content) for file, content in built.documents.items()}
-    plain = bytes_of if shared else dict(sorted(built.plain_sizes.items()))
-    sizes = tuple(DocumentSize(file, bytes_of[file], size) for file, size in plain.items())
-    plain_bytes = (f", plain {each.plain_bytes:,}" if each.bytes != each.plain_bytes else "" for each in sizes)
-    shown = ", ".join(f"{each.file} {each.bytes:,} bytes{more}" for each, more in zip(sizes, plain_bytes, strict=True))
+    plain = (
+        {file: len(content) for file, content in built.documents.items()}
+        if shared
+        else dict(sorted(built.plain_sizes.items()))
+    )
+    shown, sizes = _sizes(built, plain)
     # The sizes of a report are those of packages.
     step = Step(STAGE, "" if shared else name, action, (*minted, *changes), shown, () if shared else sizes)
-    own, build_types = (terms.lifetimes(package), package.build_types) if package else ((), (shared,))
-    made = Stamp(
-        package_build_types.inputs_digest(session, name, build_types),
-        {file: new.digest for file, new in files.items()},
-        context=context,
-        lifetimes=terms.dump(own, session.workspace) if package else "",
-        build_types=build_types,
-    )
+    inputs = package_build_types.inputs_digest(session, name, package.build_types if package else (shared,))
+    made, own = _stamp(session, inputs, files, context, package, shared)
     return PackagePlan(name, step, made, tuple(built.diagnostics), fingerprint=fingerprint, lifetimes=own)
+
+
+def _sizes(built: BuildResult, plain: Mapping[str, int]) -> tuple[str, tuple[DocumentSize, ...]]:
+    """Return the sizes of documents and of their plain forms: in words, and as the report has them."""
+    sizes = tuple(DocumentSize(file, len(built.documents[file]), size) for file, size in plain.items())
+    plain_bytes = (f", plain {each.plain_bytes:,}" if each.bytes != each.plain_bytes else "" for each in sizes)
+    shown = ", ".join(f"{each.file} {each.bytes:,} bytes{more}" for each, more in zip(sizes, plain_bytes, strict=True))
+    return shown, sizes
+
+
+def _stamp(
+    session: Session, inputs: str, files: Mapping[str, File], context: str, package: Package | None, shared: str = ""
+) -> tuple[Stamp, tuple[Term, ...]]:
+    """Return the record of some documents, and when they are in force; ``shared`` is the build type of shared ones."""
+    own, build_types = (terms.lifetimes(package), package.build_types) if package else ((), (shared,))
+    lifetimes = terms.dump(own, session.workspace) if package else ""
+    outputs = {file: new.digest for file, new in files.items()}
+    return Stamp(inputs, outputs, context=context, lifetimes=lifetimes, build_types=build_types), own
 
 
 def _plan_shared(session: Session, options: BuildOptions, *, force: bool) -> list[PackagePlan]:

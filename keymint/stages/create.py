@@ -16,8 +16,8 @@ from keymint import api
 from keymint.errors import ExitCode, KeymintError
 from keymint.ir import SubjectRules
 from keymint.names import ROOT, refuse_case_collisions, refuse_reserved, subject_of
-from keymint.stages.work import PackagePlan, PackageStage, state_after, steps_of
-from keymint.store.changes import Action, File, FolderChange, Plan, Step, by_folder, folder_changes
+from keymint.stages.work import NewPackage, PackagePlan, PackageStage, state_after, steps_of
+from keymint.store.changes import Action, File, FolderChange, Plan, Step, by_folder, folder_changes, same_file
 from keymint.view.stamps import Stamp, digest
 from keymint.workspace.policy_loading import (
     is_recorded,
@@ -188,6 +188,7 @@ class CreateStage(PackageStage):
         self._epoch = digest(digest(*seen), session.profile_digest)
         self._is_followed = recorded_epoch(session.state) == self._epoch
         self._package_type = session.package_type
+        self._files: dict[str, File] = {}
 
     def subjects(self, names: Sequence[str], settled: Collection[str] = ()) -> tuple[str, ...]:
         """Return the names that are packages of subjects, not of infrastructure.
@@ -284,6 +285,16 @@ class CreateStage(PackageStage):
         former = self._package_type.former_rules(rules, files) if changes and files else ()
         found = (*(unnamed if known else ()), *(with_place(each, session.workspace.src) for each in former))
         return PackagePlan(name, step, Stamp(self._inputs(name), outputs), found, errors)
+
+    def new(self, new: NewPackage) -> PackagePlan:
+        """See :meth:`keymint.stages.work.PackageStage.new`."""
+        session, name, marker = self._session, new.name, self._package_type.MARKER
+        made = self._package_type.create(session.profile, new.rules, {}, force=False)
+        ordered = sorted(made.items(), key=lambda item: item[0] == marker)
+        new.sources = {file: same_file(self._files, file, content) for file, content in ordered}
+        step = Step(STAGE, name, Action.CREATED, (FolderChange(f"{session.workspace.src}/{name}", new.sources),))
+        digests = {file: each.digest for file, each in new.sources.items()}
+        return PackagePlan(name, step, Stamp(self._inputs(name), _outputs(digests)))
 
     def _with_validity(self, rules: SubjectRules, files: Mapping[str, bytes]) -> Mapping[str, bytes]:
         """Return the files of a package that change so that it has the requested validity."""

@@ -124,6 +124,17 @@ def _require_plain(inputs: Inputs, package: Package, pem: bytes = b"") -> None:
     raise KeymintError(message, where=where, help=help_, code="identity-encrypted")
 
 
+def mint(inputs: Inputs, package: Package) -> tuple[FolderChange, str]:
+    """Plan a new key for a package, and return its fingerprint as well.
+
+    Raises:
+        KeymintError: the sources ask for an encrypted key.
+    """
+    _require_plain(inputs, package)
+    minted = keys.to_pem(keys.generate(package.identity.key, package.identity.origin))
+    return secret_file(inputs.workspace.identity_key(package.name), minted), keys.fingerprint_of_file(minted)
+
+
 def restore_or_mint(session: Session, package: Package, *, rekey: bool, restore: bool) -> tuple[FolderChange, str]:
     """Plan the key of a package: a new one if it never had any, else the one in its enclave, if the user asks for that.
 
@@ -146,8 +157,7 @@ def restore_or_mint(session: Session, package: Package, *, rekey: bool, restore:
     path = session.workspace.identity_key(package.name)
     known = "" if rekey else known_fingerprint(session, package.name)
     if not known:
-        minted = keys.to_pem(keys.generate(package.identity.key, package.identity.origin))
-        return secret_file(path, minted), keys.fingerprint_of_file(minted)
+        return mint(session, package)
     pem = session.tree.try_read(session.enclave(package.name) / KEY) or b""
     try:
         there = keys.fingerprint(keys.from_pem(pem)) if pem else ""

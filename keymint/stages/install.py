@@ -22,7 +22,7 @@ from keymint.life.examine import Keyring, orphan_findings, replaced_rights, shar
 from keymint.life.register import SignedRights
 from keymint.life.workspace_register import register_of
 from keymint.names import subject_of
-from keymint.pki import certificates, revocation_lists
+from keymint.pki import certificates, keys, revocation_lists
 from keymint.pki.distinguished_names import to_text
 from keymint.stages import identities
 from keymint.stages.documents import (
@@ -37,8 +37,8 @@ from keymint.stages.documents import (
     sign_shared,
 )
 from keymint.stages.environment_scripts import plan_scripts
-from keymint.stages.work import PackagePlan, PackageStage, state_after, steps_of
-from keymint.store.changes import Action, File, FolderChange, Plan, Step, by_folder
+from keymint.stages.work import NewPackage, PackagePlan, PackageStage, state_after, steps_of
+from keymint.store.changes import Action, File, FolderChange, Plan, Step, by_folder, same_file
 from keymint.view.stamps import Stamp, digest, digest_files
 from keymint.workspace import installed_enclaves
 from keymint.workspace.installed_enclaves import (
@@ -93,6 +93,7 @@ class InstallStage(PackageStage):
         self._prune = prune
         self._settled = settled
         self._keyring = Keyring(session)
+        self._files: dict[str, File] = {}
 
     def package(self, name: str) -> PackagePlan:
         """Return the plan for the enclave of a package."""
@@ -100,6 +101,34 @@ class InstallStage(PackageStage):
             return _plan_enclave(self._session, name, self._authorities, self._keyring)
         except KeymintError as error:
             return PackagePlan(name, errors=tuple(error.diagnostics))
+
+    def new(self, new: NewPackage) -> PackagePlan:
+        """See :meth:`keymint.stages.work.PackageStage.new`."""
+        session, name, package = self._session, new.name, new.package
+        (key,) = new.key.files.values()
+        digests = {file: each.digest for file, each in new.documents.items()}
+        inputs = _inputs(session, new.inputs, key.digest, digests)
+        documents = {file: each.content for file, each in new.documents.items()}
+        pair = key.content, keys.public_of(key.content)
+        artifacts, issued, warnings = identities.sign(session, package, documents, self._authorities, pair, {})
+        new.files = {
+            file: same_file(self._files, file, each.content, secret=each.secret) for file, each in artifacts.items()
+        }
+        ordered = dict(sorted(new.files.items(), key=lambda item: item[0] == CERTIFICATE))
+        build_types = build_types_of(session, package)
+        copied = {file for each in build_types.values() for file in each.COPIED}
+        return PackagePlan(
+            name,
+            Step(STAGE, name, Action.CREATED, (FolderChange(session.enclave_folder(name), ordered, private=True),)),
+            _stamp(inputs, new.files, lifetimes=new.built.stamp.lifetimes if new.built.stamp else ""),
+            tuple(warnings),
+            fingerprint=new.built.fingerprint,
+            lifetimes=new.built.lifetimes,
+            build_types=tuple(build_types),
+            artifacts={file: artifacts[file] for file in copied if file in artifacts},
+            issued=issued,
+            signed=_signed(session, package, {file: each.content for file, each in new.files.items()}),
+        )
 
     def plan(self, planned: Sequence[PackagePlan]) -> Plan:
         """Put the plans for some enclaves together, and add what they share and what is pruned."""
@@ -403,7 +432,12 @@ def inputs_of(session: Session, name: str) -> str | None:
     key = "" if shared else identities.key_digest(session, name)
     if documents is None or key is None:
         return None
-    built = (part for item in sorted(documents.items()) for part in item)
-    revoked = {} if shared else revocation_lists_in_force.lists(session)
+    return _inputs(session, inputs_digest(session, name), key, documents, is_shared=bool(shared))
+
+
+def _inputs(session: Session, built: str, key: str, documents: Mapping[str, str], *, is_shared: bool = False) -> str:
+    """Return the digest of :func:`inputs_of` from that of what the documents are built from, and those of the files."""
+    parts = (part for item in sorted(documents.items()) for part in item)
+    revoked = {} if is_shared else revocation_lists_in_force.lists(session)
     more = (digest_files(revoked),) if revoked else ()
-    return digest(inputs_digest(session, name), key, chains_digest(session), session.profile.layout, *built, *more)
+    return digest(built, key, chains_digest(session), session.profile.layout, *parts, *more)

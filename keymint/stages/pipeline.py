@@ -33,7 +33,7 @@ from keymint.stages.documents import affected_packages
 from keymint.stages.install import InstallStage
 from keymint.stages.proof.proof_gate import proof_stage, proven
 from keymint.stages.proof.prove import ProofStage
-from keymint.stages.work import Crew, InstallRequest, PackagePlan, PackageStage, Work
+from keymint.stages.work import Crew, InstallRequest, NewPackages, PackagePlan, PackageStage, Work
 from keymint.store.changes import Action, File, FolderChange, Plan, Step
 from keymint.view.stamps import Stamp
 from keymint.workspace.installed_enclaves import INSTALLED, enclave_names, installed_certificate, with_sources
@@ -109,7 +109,10 @@ def conduct(work: Work, request: Request, crew: Crew) -> Work:
         KeymintError: a package cannot be created, built, signed or proven, or an authority cannot sign; with all
             defects of the first stage that has any.
     """
-    done = _conducted(Work(work.session), request, crew)
+    try:
+        done = _conducted(Work(work.session), request, crew)
+    finally:
+        crew.new = None  # it holds the policy
     return replace(done, parts=(*work.parts, *done.parts))
 
 
@@ -130,6 +133,7 @@ def _conducted(start: Work, request: Request, crew: Crew) -> Work:
         create = stages[CREATE](work.session)
         settled = _settled(work, names, create)
         subjects = create.subjects(names, settled)
+    crew.new = _new_packages(work.session, subjects, stages, request)
     if PROVE in stages or not _proves(request):
         crew.start(work.session, [name for name in subjects if name not in settled], tuple(stages.values()))
     if CREATE in stages:
@@ -156,6 +160,16 @@ def _conducted(start: Work, request: Request, crew: Crew) -> Work:
     if not _proves(request) or (request.follow and not issued):  # a revocation does not wait for a proof of others
         return work
     return _proved(work, unsigned, [name for name in names if name not in settled], issued, request, crew)
+
+
+def _new_packages(session: Session, names: Sequence[str], stages: _Stages, request: Request) -> NewPackages | None:
+    """Return the packages that are new, as far as a run goes through all stages as usual; None if there are none."""
+    is_usual = not (request.valid_for or request.adopts or request.beside or request.options.allow_vendor_specific)
+    if request.policy is None or not is_usual or tuple(stages) != (CREATE, BUILD, INSTALL, PROVE):
+        return None
+    if not set(names).difference(session.packages()):
+        return None
+    return NewPackages.of(session, request.policy, CREATE)
 
 
 def _settled(work: Work, names: Sequence[str], create: CreateStage) -> frozenset[str]:

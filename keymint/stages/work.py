@@ -14,12 +14,18 @@ from typing import Any, Self
 
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
-from keymint.api import Artifact, BuildOptions
+from keymint.api import Artifact, BuildOptions, LoadedPolicy, Package
+from keymint.authority.examine import contradictions
 from keymint.errors import KeymintError
+from keymint.ir import SubjectRules
 from keymint.life.register import IssuedCertificate, SignedRights
+from keymint.life.revocation_lists_in_force import lists
 from keymint.life.terms import Term
-from keymint.store.changes import Action, Plan, Step
+from keymint.life.workspace_register import register_of
+from keymint.names import ROOT, subject_of
+from keymint.store.changes import Action, File, FolderChange, Plan, Step
 from keymint.view.stamps import Stamp, State
+from keymint.workspace.package_build_types import may_share
 from keymint.workspace.session import Inputs, Session
 from keymint.workspace.stored_keys import IDENTITY_KEYS, with_recorded_keys
 
@@ -94,14 +100,112 @@ class PackagePlan:
     withdrawn: str = ""
 
 
+@dataclass(slots=True)
+class NewPackage:
+    """A package of which nothing is there, on its way through the stages; each sets what the next ones need.
+
+    Attributes:
+        name: the package.
+        rules: its rules, as the policy has them.
+        sources: the files of its folder, once it is created.
+        package: what they say, once it is built; so are the following.
+        inputs: the digest of all that its documents are made from.
+        documents: its unsigned documents.
+        key: the change that stores its private key.
+        built: the plan of the build.
+        files: the files of its enclave, once it is installed.
+    """
+
+    name: str
+    rules: SubjectRules
+    sources: Mapping[str, File] = field(init=False)
+    package: Package = field(init=False)
+    inputs: str = field(init=False)
+    documents: Mapping[str, File] = field(init=False)
+    key: FolderChange = field(init=False)
+    built: PackagePlan = field(init=False)
+    files: Mapping[str, File] = field(init=False)
+
+
 class PackageStage:
     """A stage, as far as it looks at one package at a time."""
 
     NAME: str
 
+    def new(self, new: NewPackage) -> Any:
+        """Return the result for a package of which nothing is there, as :meth:`package` does.
+
+        Raises:
+            KeymintError: the package has defects.
+        """
+        raise NotImplementedError
+
     def package(self, name: str) -> Any:
         """Return the result for a package; it depends on no other package."""
         raise NotImplementedError
+
+
+class NewPackages:
+    """Packages of which nothing is there yet, on their way through the stages, without a view of the planned files.
+
+    Where nothing is in the way, a stage has nothing to compare, and what it makes is what the next one needs. Every
+    package that has something of its own goes the usual way: sources, documents, a key, an enclave, a record, an entry
+    in the register; and so it does from the first stage on that has something to say about it.
+
+    Args:
+        session: the workspace before the stages.
+        policy: the policy to create and to prove.
+        first: name of the stage that creates packages.
+    """
+
+    def __init__(self, session: Session, policy: LoadedPolicy, first: str) -> None:
+        self._session = session
+        self._policy = policy
+        self._first = first
+        self._existing = frozenset(session.packages())
+        workspace = session.workspace
+        layouts = (layout for each in session.build_types.values() for layout in each.LAYOUTS.values())
+        installed = (workspace.install / layout.enclaves for layout in layouts)
+        spaces = map(str, (workspace.src, workspace.build, workspace.identities, *installed))
+        self._spaces = tuple(dict.fromkeys(each for each in spaces if session.tree.status(each)))
+        self._on_the_way: dict[str, NewPackage] = {}
+
+    @classmethod
+    def of(cls, session: Session, policy: LoadedPolicy, first: str) -> NewPackages | None:
+        """Return the same; None if packages depend on others, or an authority is in doubt or revoked something."""
+        try:
+            if session.needed_infrastructure() or may_share(session, ()) or contradictions(session) or lists(session):
+                return None
+            return cls(session, policy, first)
+        except KeymintError:  # raised again by the stage whose turn it is
+            return None
+
+    def planned(self, stage: PackageStage, name: str) -> Any:
+        """Return what a stage plans for a package; the stages are asked in their order."""
+        try:
+            new = self._starting(name) if self._first == stage.NAME else self._on_the_way.pop(name, None)
+            found = stage.new(new) if new else None
+        except KeymintError:  # raised again below
+            found = None
+        if new is None or found is None or found.diagnostics or not found.stamp:
+            return stage.package(name)
+        self._on_the_way[name] = new
+        return found
+
+    def _starting(self, name: str) -> NewPackage | None:
+        """Return a package if nothing of it is there, and it has no record and no entry in the register."""
+        session = self._session
+        if name == ROOT or name in self._existing or any(name in each for each in session.state.stamps.values()):
+            return None
+        if any(session.tree.status(f"{space}/{name}") for space in self._spaces) or register_of(session).of(name):
+            return None
+        rules = self._policy.rules(subject_of(name))
+        return NewPackage(name, rules) if rules else None
+
+
+def planned_by(stage: PackageStage, names: Iterable[str], new: NewPackages | None) -> list[Any]:
+    """Return what a stage plans for each package, those that are new included."""
+    return [new.planned(stage, name) if new else stage.package(name) for name in names]
 
 
 class Crew:
@@ -109,9 +213,11 @@ class Crew:
 
     Attributes:
         monotonic: returns seconds.
+        new: the packages that are new, if some may be.
     """
 
     monotonic: Callable[[], float]
+    new: NewPackages | None = None
 
     def start(
         self, session: Session, names: Sequence[str], stages: Sequence[Callable[[Session], PackageStage]]
@@ -130,7 +236,7 @@ class Crew:
         Raises:
             KeymintError: the stage cannot plan at all, or a process ended before it had planned its part.
         """
-        return [stage.package(name) for name in names]
+        return planned_by(stage, names, self.new)
 
     def close(self) -> None:
         """End all processes; what they did not stage is lost."""

@@ -40,7 +40,7 @@ class FolderChange:
     """Files to write into one folder, and names to remove from it.
 
     Attributes:
-        folder: absolute path; a text if another process holds the files, as it takes less memory.
+        folder: absolute path; a text takes less memory and time.
         files: files by name; written in this order, so that a reader meets the least harm in between.
         removed: names of files to remove.
         private: the folder and the ones created on the way to it are 0700 even when no file is secret.
@@ -75,6 +75,21 @@ def folder_changes(tree: Tree, folder: Path, files: Mapping[str, File | bytes]) 
     new = {path: file if isinstance(file, File) else File(file) for path, file in files.items()}
     different = {path: file for path, file in new.items() if tree.read(f"{folder}/{path}") != file.content}
     return tuple(FolderChange(inner, own) for inner, own in by_folder(folder, different).items())
+
+
+def same_file(known: dict[str, File], name: str, content: bytes, *, secret: bool = False) -> File:
+    """Return a file that may replace a link: the former one of a name if it has the same content, and so the digest.
+
+    Args:
+        known: the former file of each name.
+        name: its name.
+        content: its content.
+        secret: its mode is 0600.
+    """
+    file = known.get(name)
+    if file is None or file.content is not content or file.secret != secret:
+        file = known[name] = File(content, secret=secret, replaces_link=True)
+    return file
 
 
 def secret_file(path: Path | str, content: bytes) -> FolderChange:

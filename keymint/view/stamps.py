@@ -32,11 +32,15 @@ _SEAL, _END = b',"sha256":"', b'"}\n'
 
 def digest(*parts: bytes | memoryview | str) -> str:
     """Return the SHA-256, in hex, of several parts, each prefixed with its length to keep them distinct."""
-    hashed = hashlib.sha256()
+    pieces: list[bytes | memoryview] = []
     for part in parts:
         data = part.encode("utf-8", "surrogatepass") if isinstance(part, str) else part  # any name on disk
-        hashed.update(len(data).to_bytes(8, "big"))
-        hashed.update(data)
+        pieces += (len(data).to_bytes(8, "big"), data)
+    if len(parts) > 1:
+        return hashlib.sha256(b"".join(pieces)).hexdigest()
+    hashed = hashlib.sha256()
+    for piece in pieces:  # which may be a large file
+        hashed.update(piece)
     return hashed.hexdigest()
 
 

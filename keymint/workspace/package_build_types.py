@@ -116,13 +116,16 @@ def two_writers(
     return errors
 
 
-def inputs_digest(session: Session, name: str, build_types: Iterable[str] | None = None) -> str:
+def inputs_digest(
+    session: Session, name: str, build_types: Iterable[str] | None = None, files: Mapping[str, str] | None = None
+) -> str:
     """Return the digest of everything that a package's documents are built from, except the options.
 
     Args:
         session: the workspace and its profile.
         name: the package, or the key of the record of the documents over all packages of a build type.
         build_types: its build types; by default those that it had when it was built.
+        files: the digests of its files, if it is not there yet.
     """
     if shared := shared_type(name):
         members = users(session)[shared]
@@ -133,7 +136,7 @@ def inputs_digest(session: Session, name: str, build_types: Iterable[str] | None
         build_types = stamp.build_types if stamp is not None else ()
     shares = any(shared_builder(session, each) for each in build_types)
     places = (str(session.workspace.install),) if shares else ()
-    return digest(session.profile_digest, session.sources_digest(name), session.plugins.versions, *places)
+    return digest(session.profile_digest, session.sources_digest(name, files), session.plugins.versions, *places)
 
 
 @once

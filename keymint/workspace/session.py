@@ -278,7 +278,7 @@ class Session(Inputs):
         def read() -> tuple[Mapping[str, str], str]:
             paths = package_paths(self.tree, self.workspace, name)
             found = {file: value for file, path in paths.items() if (value := self.tree.digest(path)) is not None}
-            return found, digest(*(part for item in sorted(found.items()) for part in item))
+            return found, _digest_of(found)
 
         return self.made((_FILES, name), read, of_sources=True)
 
@@ -307,11 +307,17 @@ class Session(Inputs):
             return ()
         return tuple(name for name in self.packages() if self.role(name) is Role.INFRASTRUCTURE)
 
-    def sources_digest(self, name: str) -> str:
-        """Return the digest of all that a package is loaded from except the profile, its infrastructure included."""
+    def sources_digest(self, name: str, files: Mapping[str, str] | None = None) -> str:
+        """Return the digest of all that a package is loaded from except the profile, its infrastructure included.
+
+        Args:
+            name: the package.
+            files: the digests of its files, if it is not there yet.
+        """
         infrastructure = self.infrastructure()
         placed = (str(self.workspace.install),) if infrastructure else ()
-        return digest(*placed, self._sources(name)[1], *map(self._named_digest, infrastructure))
+        whole = self._sources(name)[1] if files is None else _digest_of(files)
+        return digest(*placed, whole, *map(self._named_digest, infrastructure))
 
     @once_of_sources
     def _named_digest(self, name: str) -> str:
@@ -375,3 +381,8 @@ class Session(Inputs):
             loaded = self.package_type.load(self.profile, name, folder, files, build_type, install, built=built)
             self._packages[key] = loaded
         return self._packages[key]
+
+
+def _digest_of(files: Mapping[str, str]) -> str:
+    """Return one digest over files, given by their digests."""
+    return digest(*(part for item in sorted(files.items()) for part in item))

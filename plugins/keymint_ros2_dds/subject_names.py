@@ -33,8 +33,12 @@ def subject_name_of(grant: Grant) -> str:
         KeymintError: the name is invalid, or contains something that vendors read differently.
     """
     if usual := _USUAL.fullmatch(grant.subject_name):
-        return f"{usual[2]},{usual[1]}" if usual[1] else usual[2]
+        return _reversed(usual)
     return render(distinguished_names.parse(grant.subject_name, grant.origin))
+
+
+def _reversed(usual: re.Match[str]) -> str:
+    return f"{usual[2]},{usual[1]}" if usual[1] else usual[2]
 
 
 def is_usual(name: str) -> bool:
@@ -52,6 +56,8 @@ def render(name: x509.Name, where: Origin | None = None) -> str:
     Raises:
         KeymintError: the name contains something that vendors read differently.
     """
+    if usual := _USUAL.fullmatch(distinguished_names.to_text(name)):
+        return _reversed(usual)
     attributes = list(distinguished_names.attributes(name))
     for kind, value in attributes:
         if kind[0].isdigit():

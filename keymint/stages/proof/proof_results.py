@@ -264,17 +264,21 @@ def dump_proof(
         folder: the folder of the documents, as messages show it; recorded places are relative to it.
     """
     rows = [
-        (
-            term.code,
-            term.what,
-            term.where.file.removeprefix(f"{folder}/"),
-            term.where.line,
-            [(_date(first), _date(last)) for first, last in term.periods],
-            term.models,
+        _row(
+            each.code, each.what, each.where.file.removeprefix(f"{folder}/"), each.where.line, each.periods, each.models
         )
-        for term in terms
+        for each in terms
     ]
-    return {_CLAIMS: dump_claims(tuple(claims)), RULES: placeless_digest(rules), _TERMS: _json(rows)}
+    return {_CLAIMS: dump_claims(tuple(claims)), RULES: placeless_digest(rules), _TERMS: f"[{','.join(rows)}]"}
+
+
+# The authorities of all enclaves are the same.
+@lru_cache(maxsize=64)
+def _row(
+    code: str, what: str, file: str, line: int, periods: tuple[tuple[datetime, datetime], ...], models: tuple[str, ...]
+) -> str:
+    """Return when a document is in force, as text."""
+    return _json((code, what, file, line, [(_date(first), _date(last)) for first, last in periods], models))
 
 
 _json = json.JSONEncoder(separators=(",", ":")).encode

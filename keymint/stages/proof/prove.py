@@ -24,7 +24,7 @@ from keymint.stages.documents import documents_digest, enclaves_of, installed_do
 from keymint.stages.proof import proof_results
 from keymint.stages.proof.proof_results import EnclaveProof, ProofEffort, ProofResults
 from keymint.stages.proof.trust_anchors import anchors_of, shared_anchors, unread_of
-from keymint.stages.work import PackageStage
+from keymint.stages.work import NewPackage, PackageStage
 from keymint.view.stamps import Stamp, digest, digest_files
 from keymint.workspace import package_build_types
 from keymint.workspace.installed_enclaves import enclave_digests, enclave_files, not_installed
@@ -143,7 +143,7 @@ class ProofStage(PackageStage):
         inputs = self._inputs_digest(name, digests, build_types)
         rules = self._rules(package.subject)
         proof = self._proof(package, rules, files, folder)
-        return self._kept(proof, (rules,), Stamp(inputs, {}, build_types=build_types), folder)
+        return self._kept(proof, (rules,), inputs, build_types, folder)
 
     def recorded(self, name: str) -> EnclaveProof | None:
         """Return the proof of an enclave that is on record, or None if :meth:`package` must be asked."""
@@ -167,6 +167,15 @@ class ProofStage(PackageStage):
         """Return the folder of the documents of a package, as messages show it."""
         workspace = self._session.workspace
         return workspace.shown(workspace.build / name if self._unsigned else self._session.enclave_folder(name))
+
+    def new(self, new: NewPackage) -> EnclaveProof:
+        """See :meth:`keymint.stages.work.PackageStage.new`; the files are those of the enclave that is planned."""
+        digests = {file: each.digest for file, each in new.files.items()}
+        build_types, folder = new.package.build_types, self._folder(new.name)
+        contents = {file: each.content for file, each in new.files.items()}
+        proof = self._proof(new.package, new.rules, contents, folder)
+        inputs = self._digest(new.inputs, digests, build_types, self._session.vendors_of)
+        return self._kept(proof, (new.rules,), inputs, build_types, folder)
 
     def _across(self, name: str, names: Sequence[str]) -> EnclaveProof:
         """Prove the claims across the subjects of some packages of a build type, unless these are on record."""
@@ -197,7 +206,7 @@ class ProofStage(PackageStage):
             proof = EnclaveProof(key, "", claims)
         except KeymintError as error:
             proof = EnclaveProof(key, "", diagnostics=tuple(error.diagnostics))
-        return self._kept(proof, rules.values(), Stamp(inputs, {}, build_types=(name,)), folder)
+        return self._kept(proof, rules.values(), inputs, (name,), folder)
 
     def _recorded(self, name: str, subjects: Sequence[str], inputs: str, folder: str) -> EnclaveProof | None:
         """Return the proof on record if it is of the same files and the same rules of some subjects, else None."""
@@ -208,15 +217,24 @@ class ProofStage(PackageStage):
         proof = EnclaveProof(name, "", known[0], cached=True, terms=known[1], build_types=stamp.build_types)
         return replace(proof, stamp=self._of_policy(stamp, subjects))
 
-    def _kept(self, proof: EnclaveProof, rules: Collection[SubjectRules], stamp: Stamp, folder: str) -> EnclaveProof:
+    def _kept(
+        self,
+        proof: EnclaveProof,
+        rules: Collection[SubjectRules],
+        inputs: str,
+        build_types: tuple[str, ...],
+        folder: str,
+    ) -> EnclaveProof:
         """Return a proof with its record if all its claims are proven."""
-        proof = replace(proof, build_types=stamp.build_types)
         if self._effort.standard_only:
-            return proof
+            return replace(proof, build_types=build_types)
         if proof.diagnostics or any(claim.proof is not api.Proof.PROVEN for claim in proof.claims):
-            return replace(proof, refuted=True)
-        stamp = replace(stamp, outputs=proof_results.dump_proof(proof.claims, proof.terms, rules, folder))
-        return replace(proof, stamp=self._of_policy(stamp, [each.subject for each in rules]))
+            return replace(proof, build_types=build_types, refuted=True)
+        outputs = proof_results.dump_proof(proof.claims, proof.terms, rules, folder)
+        if written := self._written(each.subject for each in rules):
+            outputs = {**outputs, proof_results.WRITTEN: written}
+        stamp = Stamp(inputs, outputs, context=self._policy_digest, build_types=build_types)
+        return replace(proof, build_types=build_types, stamp=stamp)
 
     def _same_rules(self, stamp: Stamp, subjects: Iterable[str]) -> bool:
         """Tell whether the policy has the same rules for some subjects as when the stamp was made."""
@@ -270,7 +288,7 @@ class ProofStage(PackageStage):
                 models = {claim.model for claim in own} or prover.assumptions().keys()
                 validity += terms.terms_of(periods, models)
         of_subject = tuple(replace(each, subject=subject) for each in dict.fromkeys(defects.found))
-        periods = tuple(dict.fromkeys(validity))
+        periods = tuple(validity if len(build_types) == 1 else dict.fromkeys(validity))
         return EnclaveProof(package.name, subject, tuple(claims), diagnostics=of_subject, terms=periods)
 
     def _claims(self, prover: api.Prover, task: api.ProofTask) -> Sequence[api.Claim]:
@@ -288,11 +306,14 @@ class ProofStage(PackageStage):
 
     def _inputs_digest(self, name: str, digests: Mapping[str, str], build_types: Iterable[str]) -> str:
         """Return the digest of everything that a proof depends on, except the policy."""
+        # What holds across subjects is the same for all vendors.
+        of_vendors = "" if package_build_types.shared_type(name) else self._session.vendors_of
+        return self._digest(package_build_types.inputs_digest(self._session, name), digests, build_types, of_vendors)
+
+    def _digest(self, built: str, digests: Mapping[str, str], build_types: Iterable[str], vendors_of: str) -> str:
         shared = (documents_digest(self._session, each) for each in build_types)
         files = (part for item in sorted(digests.items()) for part in item)
-        # What holds across subjects is the same for all vendors.
-        of_vendors = [] if package_build_types.shared_type(name) else filter(None, [self._session.vendors_of])
-        built = package_build_types.inputs_digest(self._session, name)
+        of_vendors = [vendors_of] if vendors_of else []
         return digest(built, self._chains_digest, __version__, *of_vendors, *shared, "", *files)
 
     def _rules(self, subject: str) -> SubjectRules:

@@ -7,6 +7,7 @@ import hashlib
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -109,6 +110,7 @@ def distro_of(paths: Iterable[str], content: Callable[[str], bytes | None]) -> s
     return ""
 
 
+@lru_cache(maxsize=16)  # several claims rest on one
 def subject_name(certificate: bytes, where: Origin) -> str:
     """Return the subject of an identity as grants name it: in the order of RFC 2253, last RDN first.
 
