@@ -31,6 +31,16 @@ from keymint.analysis.symbolic_search import QueryBudget, find_subject
 from keymint.api import LoadedPolicy
 from keymint.ir import Rule
 
+FORMS = (
+    "who can PERMISSION OBJECT",
+    "what can SUBJECT do",
+    "can SUBJECT [ever] PERMISSION OBJECT",
+    "flows SUBJECT SUBJECT",
+    "isolated SUBJECT SUBJECT",
+)
+"""Queries: words in small letters are written as they are; the one in brackets may be left out."""
+HEADS = tuple(form.split()[0] for form in FORMS)
+
 
 @dataclass(frozen=True, slots=True)
 class PermissionHolder:

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import field
 from datetime import datetime
 from pathlib import Path
@@ -157,6 +157,14 @@ class ProfileType(ABC):
         Raises:
             KeymintError: the profile's list of policies was edited by hand, and is not overwritten.
         """
+
+    def choices(self, option: str) -> Iterable[str]:
+        """Return the values that an option of ``keymint init`` may have, for the shell to offer.
+
+        Args:
+            option: its name, ``distro`` or ``subject-format``.
+        """
+        return ()
 
     def settings(self, profile: WorkspaceProfile) -> Mapping[str, str]:
         """Return the current value of each option of ``keymint init`` as text, by the option's name.

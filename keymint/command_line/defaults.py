@@ -7,66 +7,37 @@ error, and no variable gives another option a value, so a workspace from elsewhe
 
 from __future__ import annotations
 
-import itertools
 import os
 import re
 import tomllib
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import click
 from click.core import ParameterSource
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.text import did_you_mean, quote
-from comarmor.values import dataclass
 from keymint.errors import ExitCode, KeymintError
-from keymint.output.console import COLOURS
 from keymint.view.file_reading import read_file
 
 MAX_BYTES = 1 << 16
 """Largest file of defaults that is read."""
-_BUILT_IN, _ENVIRONMENT = "built-in", "environment"
-
-
-@dataclass(frozen=True, slots=True)
-class Settable:
-    """An option that may have another default than the built-in one.
-
-    Attributes:
-        kind: the type of its values; None for that of the option, whose verb is imported only if it has a default.
-        built_in: the built-in default, in words.
-        verbs: the verbs that have the option; empty for all.
-    """
-
-    kind: click.ParamType[Any] | None
-    built_in: str
-    verbs: Collection[str] = ()
-
-
-FORMATS: Mapping[str, Collection[str]] = {
-    "diff": ("text", "markdown", "json"),
-    "status": ("table", "openmetrics"),
+_ENVIRONMENT = "environment"
+_WRITERS = ("build", "check", "create", "init", "install", "prove", "provision", "verify")
+SETTINGS: Mapping[str, tuple[str, Collection[str]]] = {
+    "color": ("auto", ()),
+    "format": ("text, table", ("diff", "status")),
+    "jobs": ("all cores", _WRITERS),
+    "quiet": ("false", ()),
+    "threshold": ("66%", ("renew",)),
+    "verbose": ("0", ()),
+    "within": ("0d", ("check",)),
 }
-"""The formats of the verbs that print in one of several."""
-SETTINGS: Mapping[str, Settable] = {
-    "color": Settable(click.Choice(COLOURS), "auto"),
-    "format": Settable(click.Choice([*itertools.chain(*FORMATS.values())]), "text, table", FORMATS),
-    "jobs": Settable(
-        click.IntRange(1, 256),
-        "all cores",
-        ("build", "check", "create", "init", "install", "prove", "provision", "verify"),
-    ),
-    "quiet": Settable(click.BOOL, "false"),
-    "threshold": Settable(None, "66%", ("renew",)),
-    "verbose": Settable(click.IntRange(0, 9), "0"),
-    "within": Settable(None, "0d", ("check",)),
-}
-"""What may be set, by the long name of the option."""
+"""What may be set, by the long name of the option: the built-in default in words, and the verbs (empty for all)."""
 
 
-@dataclass(frozen=True, slots=True)
-class Default:
+class Default(NamedTuple):
     """The default of an option.
 
     Attributes:
@@ -82,16 +53,6 @@ class Default:
     value: str
     source: str
     place: str = ""
-
-    def is_for(self, verb: str) -> bool:
-        """Tell whether a verb uses it, if its command line does not have the option.
-
-        Args:
-            verb: the words of the verb, e.g. ``authority show``.
-        """
-        first, verbs = verb.partition(" ")[0], SETTINGS[self.key].verbs
-        is_value = self.key != "format" or self.value in FORMATS.get(first, ())
-        return self.verb in ("", first, verb) and (not verbs or first in verbs) and is_value
 
 
 def load_defaults(
@@ -111,20 +72,34 @@ def load_defaults(
     problems: list[Diagnostic] = []
     verbs = group.list_commands(click.Context(group))
     for name, value in variables:
-        words = name.split("_")[1:]
-        verb, key = " ".join(words[:-1]).lower(), words[-1].lower()
-        known = SETTINGS[key].verbs or verbs
+        *words, key = name.lower().split("_")[1:]
         # As for click, an empty variable is none.
-        if value and (not verb or verb.partition(" ")[0] in known):
-            found.append(Default(key, verb, value, _ENVIRONMENT, f"${name}"))
-            problems += _problems(found[-1], value, None, group)
+        if value and (not words or words[0] in (SETTINGS[key][1] or verbs)):
+            found.append(Default(key, " ".join(words), value, _ENVIRONMENT, f"${name}"))
+            problems += _wrong_value(found[-1], value, None, group)
     for source, path in files.items():
         # Users keep their own files elsewhere and link to them; that of a workspace may be from a stranger.
-        content = read_file(path if source == "workspace" else os.path.realpath(path), MAX_BYTES)
-        if content is not None:
-            own, wrong = _from_file(content, source, path, group)
-            found += own
-            problems += wrong
+        content = read_file(path if source == "workspace" else os.path.realpath(path), MAX_BYTES) or b""
+        try:
+            text = content.decode()
+            entries = [*_entries(tomllib.loads(text))]
+        except (ValueError, RecursionError) as error:
+            problems.append(_unreadable(error, content, path))
+            continue
+        for verb, key, given in entries:
+            where = Origin(path, _line(text, verb, key))
+            known = [name for name, (_, own) in SETTINGS.items() if not verb or not own or verb in own]
+            if verb and verb not in verbs:
+                help_ = did_you_mean(verb, verbs, "a table has the name of a verb, e.g. [check]")
+                problems.append(Diagnostic.error("default-unknown", f"there is no verb {quote(verb)}", where, help_))
+            elif key not in ("", *known):
+                message = f"{quote(key)} {f'of [{verb}] ' if verb else ''}cannot be set here"
+                help_ = did_you_mean(key, known, f"{', '.join(known)} can; all else belongs on the command line")
+                problems.append(Diagnostic.error("default-unknown", message, where, help_))
+            elif key:
+                value = str(int(given) if key == "verbose" and isinstance(given, bool) else given)
+                found.append(Default(key, verb, value, source, str(where)))
+                problems += _wrong_value(found[-1], given, where, group)
     if problems:
         raise KeymintError.of(problems, ExitCode.USAGE)
     # Of one source, what is said for a verb is stronger than what is said for all.
@@ -132,65 +107,43 @@ def load_defaults(
     return tuple(sorted(found, key=lambda each: (order.index(each.source), -len(each.verb))))
 
 
-def _from_file(content: bytes, source: str, shown: str, group: click.Group) -> tuple[list[Default], list[Diagnostic]]:
-    """Return the defaults of a file, and what is wrong with it."""
-    found: list[Default] = []
-    problems: list[Diagnostic] = []
-    try:
-        text = content.decode()
-        document = tomllib.loads(text)
-    except UnicodeDecodeError as error:
-        where = Origin(shown, content.count(b"\n", 0, error.start) + 1)
-        return [], [Diagnostic.error("default-invalid", "is not UTF-8", where, "save it as UTF-8")]
-    except (ValueError, RecursionError) as error:
-        message, _, place = str(error).partition(" (at line ")
-        line = int(place.partition(",")[0]) if place[:1].isdigit() else text.count("\n") + 1
-        return [], [Diagnostic.error("default-invalid", f"is not TOML: {message}", Origin(shown, line), _EXAMPLE)]
-    verbs = group.list_commands(click.Context(group))
-    tables = {"": {key: value for key, value in document.items() if not isinstance(value, dict)}}
-    for verb, table in document.items():
-        if isinstance(table, dict):
-            if verb in verbs:
-                tables[verb] = table
-            else:
-                help_ = did_you_mean(verb, verbs, "a table has the name of a verb, e.g. [check]")
-                where = Origin(shown, _line(text, verb, ""))
-                problems.append(Diagnostic.error("default-unknown", f"there is no verb {quote(verb)}", where, help_))
-    for verb, table in tables.items():
-        for key, value in table.items():
-            where = Origin(shown, _line(text, verb, key))
-            settings = [name for name, each in SETTINGS.items() if not verb or not each.verbs or verb in each.verbs]
-            if key not in settings:
-                message = f"{quote(key)} {f'of [{verb}] ' if verb else ''}cannot be set here"
-                help_ = f"{', '.join(settings)} can; anything else belongs on the command line"
-                help_ = did_you_mean(key, settings, help_)
-                problems.append(Diagnostic.error("default-unknown", message, where, help_))
-                continue
-            typed = int(value) if key == "verbose" and isinstance(value, bool) else value
-            found.append(Default(key, verb, str(typed), source, str(where)))
-            problems += _problems(found[-1], typed, where, group)
-    return found, problems
+def _entries(document: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
+    """Yield verb (empty for all), key and value of what a file sets; of a table also an entry without a key."""
+    for key, value in document.items():
+        if isinstance(value, dict):
+            yield key, "", None
+            yield from ((key, name, inner) for name, inner in value.items())
+        else:
+            yield "", key, value
 
 
-_EXAMPLE = 'write e.g. jobs = 4, or for one verb [check] and below it within = "30d"'
+def _unreadable(error: Exception, content: bytes, path: str) -> Diagnostic:
+    """Return what is wrong with the text of a file."""
+    place = re.search(r" \(at line ([0-9]+)", str(error))
+    line = int(place[1]) if place else content.count(b"\n", 0, getattr(error, "start", len(content))) + 1
+    message = f"is not {'UTF-8' if isinstance(error, UnicodeDecodeError) else 'TOML'}: {error}"
+    example = 'write e.g. jobs = 4, or for one verb [check] and below it within = "30d"'
+    return Diagnostic.error("default-invalid", message, Origin(path, line), example)
 
 
-def _problems(default: Default, value: object, where: Origin | None, group: click.Group) -> Iterator[Diagnostic]:
-    """Yield what is wrong with a value."""
-    setting = SETTINGS[default.key]
-    kind = click.Choice(FORMATS[default.verb]) if default.key == "format" and default.verb else setting.kind
-    if kind is None:
-        verb = group.get_command(click.Context(group), next(iter(setting.verbs)))
-        kind = next(each.type for each in verb.params if f"--{default.key}" in each.opts) if verb else click.STRING
-    kinds = (str, {"quiet": bool, "jobs": int, "verbose": int}.get(default.key, str))
-    problem = "" if type(value) in kinds else f"{quote(str(value))} is of another kind"
-    try:
-        kind.convert(str(value), None, None)
-    except click.BadParameter as error:
-        problem = problem or error.message.rstrip(".")
-    if problem:
-        message = f"{default.key if where else default.place}: {problem}"
-        yield Diagnostic.error("default-invalid", message, where, f"write it as for --{default.key}")
+def _wrong_value(default: Default, given: object, where: Origin | None, group: click.Group) -> Iterator[Diagnostic]:
+    """Yield what is wrong with a value, of which one verb at least must take it."""
+    problem, verbs = "", SETTINGS[default.key][1]
+    kinds = {"quiet": (str, bool), "jobs": (str, int), "verbose": (str, int, bool)}.get(default.key, (str,))
+    if type(given) not in kinds:
+        problem = f"{quote(str(given))} is of another kind"
+    for verb in () if problem else [default.verb] if default.verb in verbs else verbs or ("status",):
+        command = group.get_command(click.Context(group), verb)
+        try:
+            for each in command.params if command else ():
+                if f"--{default.key}" in each.opts:
+                    each.type.convert(default.value, each, None)
+        except click.BadParameter as error:
+            problem = error.message.rstrip(".")
+        else:
+            return
+    message = f"{default.key if where else default.place}: {problem}"
+    yield Diagnostic.error("default-invalid", message, where, f"write it as for --{default.key}")
 
 
 def _line(text: str, table: str, key: str) -> int:
@@ -206,16 +159,6 @@ def _line(text: str, table: str, key: str) -> int:
     return found
 
 
-def chosen_defaults(defaults: Sequence[Default], verb: str) -> Mapping[str, Default]:
-    """Return the default of each setting for a verb; of ``quiet`` and ``verbose`` those of the strongest source."""
-    chosen: dict[str, Default] = {}
-    for each in defaults:
-        other = chosen.get({"quiet": "verbose", "verbose": "quiet"}.get(each.key, ""))
-        if each.is_for(verb) and (other is None or other.source == each.source):
-            chosen.setdefault(each.key, each)
-    return chosen
-
-
 def with_defaults(context: click.Context, verb: str, defaults: Sequence[Default]) -> dict[str, Any]:
     """Return the values of options that the command line does not give, by the name of the parameter.
 
@@ -224,28 +167,27 @@ def with_defaults(context: click.Context, verb: str, defaults: Sequence[Default]
         verb: the words of the verb.
         defaults: all defaults.
     """
-    chosen = dict(chosen_defaults(defaults, verb))
-    keys = {option[2:]: each for each in context.command.params for option in each.opts if option.startswith("--")}
-    typed = {
-        key for key, each in keys.items()
-        if context.get_parameter_source(each.name or "") is not ParameterSource.DEFAULT
-    }  # fmt: skip
-    if typed & {"quiet", "verbose"}:
-        typed |= {"quiet", "verbose"}
-    return {
-        str(keys[key].name): keys[key].type_cast_value(context, each.value)
-        for key, each in chosen.items()
-        if key in keys and key not in typed
-    }
+    first = verb.partition(" ")[0]
+    options = {name[2:]: each for each in context.command.params for name in each.opts if name.startswith("--")}
+    sources = {key: context.get_parameter_source(str(each.name)) for key, each in options.items()}
+    typed = {key for key, source in sources.items() if source is not ParameterSource.DEFAULT}
+    chosen: dict[str, Default] = {}
+    for each in defaults:
+        # Of 'quiet' and 'verbose' only the strongest source counts.
+        other = {"quiet": "verbose", "verbose": "quiet"}.get(each.key, each.key)
+        is_for_verb = each.verb in ("", first, verb) and (not SETTINGS[each.key][1] or first in SETTINGS[each.key][1])
+        is_weaker = other in chosen and chosen[other].source != each.source
+        if is_for_verb and not is_weaker and typed.isdisjoint((each.key, other)):
+            fits = each.value in getattr(options[each.key].type, "choices", (each.value,))
+            chosen |= {each.key: each} if fits and each.key not in chosen else {}
+    return {str(options[key].name): options[key].type_cast_value(context, each.value) for key, each in chosen.items()}
 
 
 def default_rows(defaults: Sequence[Default]) -> list[dict[str, Any]]:
     """Return what each setting is without an option, and where that comes from: for all verbs, and for single ones."""
-    found = {(each.key, each.verb): each for each in reversed(defaults)}
-    built_in = (Default(key, "", each.built_in, _BUILT_IN) for key, each in SETTINGS.items())
-    every = {(each.key, ""): each for each in built_in} | found
+    built_in = [Default(key, "", value, "built-in") for key, (value, _) in SETTINGS.items()]
+    every = {each[:2]: each._asdict() for each in (*built_in, *reversed(defaults))}
     return [
-        {"option": f"--{key}", "verb": verb or None, "value": each.value, "source": each.source,
-         "place": each.place or None}
-        for (key, verb), each in sorted(every.items())
-    ]  # fmt: skip
+        {"option": f"--{key}", **{name: own[name] or None for name in ("verb", "value", "source", "place")}}
+        for (key, _), own in sorted(every.items(), key=lambda item: item[0])
+    ]

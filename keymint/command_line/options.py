@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
 from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,33 +15,15 @@ from comarmor.regex import lazy_regex
 from comarmor.rules import PERMISSIONS, RAW_PREFIXES
 from comarmor.values import dataclass
 from keymint.command_line.verb import FILE, argument, flag, option, option_group, path_option, plugin
-from keymint.errors import KeymintError
 from keymint.life.terms import Threshold
 from keymint.names import RAW
 from keymint.stages.work import InstallRequest
-from keymint.view.tree import Tree
-from keymint.workspace.workspace import Workspace, find, packages
 
 if TYPE_CHECKING:
     from keymint.command_line.named_packages import Selection
     from keymint.run.run import Run
 
 DEFAULT_PROFILE_TYPE = "keymint_ros"
-
-
-def complete_package(context: click.Context, _parameter: click.Parameter, incomplete: str) -> list[str]:
-    """Complete the name of a package of the workspace, for the shell."""
-    slash = "/" if incomplete.startswith("/") else ""
-    return _completed(context, incomplete, lambda workspace: [slash + each for each in packages(Tree(), workspace.src)])
-
-
-def _completed(context: click.Context, incomplete: str, names: Callable[[Workspace], Iterable[str]]) -> list[str]:
-    """Return the names in the workspace that begin like a word; none if there is no workspace."""
-    try:
-        workspace = find(Path(context.params.get("workspace") or "."), {}, Path())
-        return [name for name in names(workspace) if name.startswith(incomplete)]
-    except KeymintError:
-        return []
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +68,7 @@ def names_group(word: str = "NAME", *, required: bool = False, state: bool = Tru
     return option_group(
         Names,
         check,
-        given=argument(nargs=-1, metavar=f"{word}..." if required else f"[{word}]...", shell_complete=complete_package),
+        given=argument(nargs=-1, metavar=f"{word}..." if required else f"[{word}]..."),
         listed=path_option(listed, "--from", kind=FILE),
         **({"state": option(type=click.Choice(("due", "stale", "revoked")), help=states)} if state else {}),
     )
@@ -288,16 +269,7 @@ def install_request(**more: Any) -> Any:
 # -- authorities -----------------------------------------------------------------------------------------------------
 
 
-def complete_authority(context: click.Context, _parameter: click.Parameter, incomplete: str) -> list[str]:
-    """Complete the name of an authority of the workspace, for the shell."""
-
-    def names(workspace: Workspace) -> Iterable[str]:
-        return sorted(entry.removesuffix(".cert.pem") for entry, _ in Tree().names(workspace.public))
-
-    return _completed(context, incomplete, names)
-
-
-authority_argument = argument(metavar="NAME", shell_complete=complete_authority)
+authority_argument = argument(metavar="NAME")
 flag_day_option = flag(
     "Accept that all subjects restart together, where the old and the new certificate do not work side by side."
 )

@@ -14,12 +14,14 @@ import math
 import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, replace
+from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, cast
 
 import click
 from click.core import ParameterSource
+from click.shell_completion import CompletionItem
 
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
@@ -45,6 +47,7 @@ PATH = click.Path(path_type=Path)
 FILE = click.Path(path_type=Path, dir_okay=False)
 _CHOSEN_BY_USERS = {"keymint.build_types", "keymint.transports"}
 """The groups of plugins of which most users choose one."""
+_MARKER = f"profile/{PROFILE_MARKER}"
 
 
 def verb(
@@ -129,7 +132,10 @@ def _defaults(context: click.Context, setting: Setting, verb: str) -> tuple[dict
     """Return the values of options that variables and files of defaults set, and what is wrong with these."""
     color = context.find_root().params.get("color")
     before = {"color": color} if color and not context.params.get("color") else {}
-    files = default_files(setting, context.params.get("workspace"))
+    start = os.path.realpath(setting.cwd / (context.params.get("workspace") or "."))
+    roots = (folder for folder in (start, *map(str, Path(start).parents)) if os.path.lexists(f"{folder}/{_MARKER}"))
+    places = {"workspace": f"{next(roots, start)}/{DEFAULTS_FILE}", "user": setting.call.user_defaults}
+    files = {source: file for source, file in places.items() if os.path.lexists(file)}
     if not setting.call.variables and not files:
         return before, None
     from keymint.command_line.defaults import load_defaults, with_defaults  # noqa: PLC0415 - few users have any
@@ -140,20 +146,6 @@ def _defaults(context: click.Context, setting: Setting, verb: str) -> tuple[dict
         return with_defaults(context, verb, defaults) | before | {"defaults": defaults}, None
     except KeymintError as error:
         return before, error
-
-
-def default_files(setting: Setting, named: Path | None) -> Mapping[str, str]:
-    """Return the files of defaults that exist: of the workspace, and of the user.
-
-    Args:
-        setting: the environment of the run.
-        named: the workspace that the command line names, or None.
-    """
-    start = os.path.realpath(setting.cwd / (named or "."))
-    above = (start, *map(str, Path(start).parents))
-    roots = (folder for folder in above if os.path.lexists(f"{folder}/profile/{PROFILE_MARKER}"))
-    files = {"workspace": f"{next(roots, start)}/{DEFAULTS_FILE}", "user": setting.call.user_defaults}
-    return {source: file for source, file in files.items() if os.path.lexists(file)}
 
 
 def _unaccepted_report(run: Run, error: UnacceptedPackagesError) -> Report:
@@ -191,6 +183,14 @@ class Number(click.FloatRange):
         if math.isnan(number):
             self.fail(f"{value!r} is not a number", param, ctx)
         return number
+
+
+class _Word(click.types.StringParamType):
+    """A text for which the shell is offered what exists; see :mod:`keymint.command_line.completion`."""
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        found = import_module("keymint.command_line.completion").values(ctx, param, incomplete)
+        return [CompletionItem(each) for each in found]
 
 
 class PluginOption(click.Option):
@@ -298,6 +298,8 @@ def parameters_of(function: Callable[..., Any]) -> tuple[list[click.Parameter], 
             found += (made(name) for name, made in each.default.options.items())
         elif isinstance(each.default, functools.partial):
             found.append(each.default(each.name))
+    for parameter in found:
+        parameter.type = _Word() if parameter.type is click.STRING else parameter.type
     return found, groups
 
 

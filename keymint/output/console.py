@@ -6,6 +6,7 @@ from __future__ import annotations
 import io
 import itertools
 import json
+import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -189,29 +190,22 @@ class Console:
         if not self._json and self._verbosity >= 0:
             self._streams.out.write(_paint(text, colour, colour=bool(colour) and self._streams.colour_out) + "\n")
 
-    def table(
-        self,
-        columns: Mapping[str, str],
-        rows: Iterable[Mapping[str, Any]],
-        shorter: Callable[[str], str] | None = None,
-    ) -> None:
-        """Show a table as aligned text, one line per row; cells of a table that is too wide are folded.
+    def table(self, columns: Mapping[str, str], rows: Iterable[Mapping[str, Any]]) -> None:
+        """Show a table as aligned text, one line per row.
+
+        If it is too wide, days until a date are left out, and then cells are folded.
 
         Args:
             columns: the member of the rows that each column has, by its title.
             rows: data as for ``--json``; what is missing, none or empty is shown as ``-``.
-            shorter: returns what a cell has if the table is too wide.
         """
         if self._json or self._verbosity < 0:
             return
         lines = [[*columns], *([_cell(row.get(member)) for member in columns.values()] for row in rows)]
         room = (self._streams.width or _WIDTH) - 2 * (len(columns) - 1)
-        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-        if sum(widths) > room and shorter:
-            lines = [list(map(shorter, line)) for line in lines]
-            widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-        if sum(widths) > room:
-            widths = _narrowed(lines, widths, room, breaks=self._streams.width is not None)
+        if sum(_widths(lines)) > room:
+            lines = [[re.sub(r" \([0-9]+ d\)$", "", cell) for cell in line] for line in lines]
+        widths = _narrowed(lines, _widths(lines), room, breaks=self._streams.width is not None)
         for index, line in enumerate(lines):
             for part in itertools.zip_longest(*map(_folded, line, widths), fillvalue=""):
                 text = "  ".join(map(str.ljust, part, widths)).rstrip()
@@ -284,6 +278,10 @@ def _cell(value: Any) -> str:
 
 _WIDTH, _NARROWEST = 80, 8
 """Columns of a table that goes to no terminal; columns of a table are not made narrower than the second."""
+
+
+def _widths(lines: Sequence[Sequence[str]]) -> list[int]:
+    return [max(map(len, column)) for column in zip(*lines, strict=True)]
 
 
 def _narrowed(lines: Sequence[Sequence[str]], widths: Sequence[int], room: int, *, breaks: bool) -> list[int]:

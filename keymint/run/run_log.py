@@ -29,6 +29,10 @@ MOST_RUNS, MOST_BYTES = 1000, 1 << 18
 """The most runs in a log, and its largest size; the oldest runs go."""
 _MOST_NAMES, _LONGEST = 20, 1000
 """The most packages and authorities that a line names, and the most characters of a command."""
+_MEMBERS = dict.fromkeys(("verb", "command", "user", "host", "version", "workspace"), str) | {
+    "steps": dict, "names": list, "more": int, "written": int, "removed": int
+}  # fmt: skip
+"""The members of a line beside the time, and their kinds."""
 _SECRET = lazy_regex(r"(?i)((?:pin(?:-value)?|pass(?:word|phrase|wd)?|secret|token)=|://[^/@\s:]*:)[^&;?@\s'\"]+")
 """What a command may have in the URI of a token or of a server (RFC 7512, 2.3: ``pin-value``)."""
 
@@ -46,13 +50,11 @@ def log_change(
         who: the user and the host.
         now: the clock, UTC.
     """
-    workspace = inputs.workspace
-    private = str(workspace.private)
-    if os.path.isdir(private):  # noqa: PTH112 - of a text
-        has_access = os.access(private, os.W_OK | os.X_OK)
-    else:
-        has_access = any(f"{each.folder}/".startswith(f"{private}/") for each in plan.changes())
-    if not has_access or not plan.writes():
+    workspace, private = inputs.workspace, str(inputs.workspace.private)
+    makes_it = not os.path.lexists(private) and any(
+        f"{each.folder}/".startswith(f"{private}/") for each in plan.changes()
+    )
+    if not plan.writes() or not (makes_it or os.access(private, os.W_OK | os.X_OK)):
         return ()
     try:
         lines = (inputs.tree.read(workspace.private / LOG) or b"").splitlines()[-MOST_RUNS + 1 :]
@@ -62,30 +64,25 @@ def log_change(
         "at": now.isoformat(),
         "verb": verb,
         "command": _SECRET.sub(r"\1***", command)[:_LONGEST],
-        **dict(zip(("user", "host"), who, strict=True)),
+        "user": who[0],
+        "host": who[1],
         "version": __version__,
         "workspace": str(workspace.root),
         **_effect(plan),
     }
     lines.append(json.dumps(encodable_value(entry)).encode())
-    size = 0
-    for index in reversed(range(len(lines))):
-        size += len(lines[index]) + 1
-        if size > MOST_BYTES:
-            del lines[: index + 1]
-            break
+    while sum(map(len, lines)) + len(lines) > MOST_BYTES:
+        del lines[0]
     return (secret_file(workspace.private / LOG, b"\n".join(lines) + b"\n"),)
 
 
 def _effect(plan: Plan) -> Mapping[str, Any]:
     """Return what a plan changes, in numbers, and the first packages and authorities that it changes."""
     changing = [step for step in plan.steps if step.writes()]
-    names = dict.fromkeys(step.package for step in changing if step.package)
-    counts = Counter(str(step.action) for step in changing)
-    written = sum(len(each.written) for each in plan.changes())
-    removed = sum(len(each.removed) for each in plan.changes())
-    return {"steps": counts, "names": [*names][:_MOST_NAMES], "more": max(0, len(names) - _MOST_NAMES),
-            "written": written, "removed": removed}  # fmt: skip
+    names = [*dict.fromkeys(step.package for step in changing if step.package)]
+    numbers = {name: sum(len(getattr(each, name)) for each in plan.changes()) for name in ("written", "removed")}
+    more, counts = max(0, len(names) - _MOST_NAMES), Counter(str(step.action) for step in changing)
+    return {"steps": counts, "names": names[:_MOST_NAMES], "more": more, **numbers}
 
 
 def logged_runs(tree: Tree, workspace: Workspace) -> list[Mapping[str, Any]]:
@@ -102,10 +99,6 @@ def _run(line: bytes) -> Mapping[str, Any] | None:
     try:
         found = json.loads(line)
         moment = datetime.fromisoformat(found["at"]).astimezone(UTC)
-        texts = {name: str(found[name]) for name in ("verb", "command", "user", "host", "version", "workspace")}
-        steps = {str(action): int(number) for action, number in found["steps"].items()}
-        names = [str(name) for name in found["names"]]
-        numbers = {name: int(found[name]) for name in ("more", "written", "removed")}
+        return {"at": moment, **{name: kind(found[name]) for name, kind in _MEMBERS.items()}}
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError):
         return None
-    return {"at": moment, **texts, "steps": steps, "names": names, **numbers}

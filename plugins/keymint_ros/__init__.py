@@ -31,6 +31,7 @@ class RosProfileType(ProfileType):
     load = lazy("keymint_ros.profile_reader:load")
     with_distro = lazy("keymint_ros.profile_reader:with_distro")
     with_policy = lazy("keymint_ros.profile_reader:with_policy")
+    choices = lazy("keymint_ros.bootstrap:choices")
     settings = lazy("keymint_ros.profile_reader:settings")
     with_setting = lazy("keymint_ros.setting_edits:with_setting")
     with_own_signer = lazy("keymint_ros.package_writer:with_own_signer")

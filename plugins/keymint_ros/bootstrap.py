@@ -20,6 +20,11 @@ from keymint_ros.manifest import BUILD_TYPE, MARKER
 _SPECIAL = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&#34;", "'": "&#39;"})
 
 
+def choices(option: str) -> Iterable[str]:
+    """See :meth:`keymint.api.ProfileType.choices`."""
+    return {"distro": distros.DISTROS, "subject-format": SUBJECT_NAMES}.get(option, ())
+
+
 def filled_file(path: str, /, **values: object) -> bytes:
     """Return the file of a template.
 

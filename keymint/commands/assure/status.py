@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta
@@ -179,8 +178,7 @@ def _show(
         title = row.package or ", ".join(row.documents) or row.build_type or "shared documents"
         ends = (_when(row.certificate_expires, now), _when(row.permissions_expire, now), _renewal(row, now))
         cells.append(dict(zip(columns, (title, row.stage, row.stale, *ends), strict=True)))
-    # A narrow table has no days of dates that are not over or due yet.
-    console.table(dict(zip(columns, columns, strict=True)), cells, lambda cell: re.sub(r" \([0-9]+ d\)$", "", cell))
+    console.table(dict(zip(columns, columns, strict=True)), cells)
     problems = [(row.package or row.build_type or "shared documents", row.problem) for row in (*rows, *shared)]
     console.messages([f"{whose}: {problem}" for whose, problem in problems if problem])
     if not cells and missing is not None:

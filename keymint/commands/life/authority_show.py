@@ -15,7 +15,6 @@ from comarmor.text import hexadecimal, quantity
 from keymint.authority import authority_files
 from keymint.authority.authorities import authority_named
 from keymint.authority.authority_changes import uses
-from keymint.command_line.options import complete_authority
 from keymint.command_line.verb import Report, Run, argument, verb
 from keymint.examine.weaknesses import lacks
 from keymint.life.renewal_schedule import authority_renewals, installed_terms
@@ -27,9 +26,7 @@ from keymint.workspace.session import Session
 
 
 @verb(of="authority")
-def authority_show(
-    run: Run, names: tuple[str, ...] = argument(nargs=-1, metavar="[NAME]...", shell_complete=complete_authority)
-) -> Report:
+def authority_show(run: Run, names: tuple[str, ...] = argument(nargs=-1, metavar="[NAME]...")) -> Report:
     """Show each authority: its certificate, where its key is, whom it serves, and how far its replacement has come.
 
     NAME is an authority of the profile [all].

@@ -6,7 +6,6 @@ from __future__ import annotations
 import click
 
 from comarmor.text import did_you_mean
-from keymint.command_line.options import complete_package
 from keymint.command_line.verb import Report, Run, argument, option, verb
 from keymint.errors import KeymintError
 from keymint.host.shells import SHELLS, exports
@@ -19,7 +18,7 @@ from keymint.workspace.installed_enclaves import enclave_names
 @verb()
 def env(
     run: Run,
-    enclave: str = argument(shell_complete=complete_package),
+    enclave: str = argument(),
     shell: str = option(type=click.Choice(tuple(SHELLS)), default="bash", show_default=True, help="Syntax to print."),
 ) -> Report:
     """Print the environment variables with which a process uses an installed ENCLAVE, and no other.

@@ -17,7 +17,7 @@ from comarmor.rules import PERMISSIONS, Effect
 from comarmor.text import did_you_mean, nearest_word, quantity
 from comarmor.values import dataclass
 from keymint.analysis.channels import Channel, ChannelSearch
-from keymint.analysis.query import PermissionHolder, effective_permissions, who_can
+from keymint.analysis.query import FORMS, HEADS, PermissionHolder, effective_permissions, who_can
 from keymint.analysis.rule_lists import allow_only, display_name, find_permitted, query_pattern
 from keymint.analysis.subject_patterns import representatives, rules_of, unknown_subject, with_distinct_rules
 from keymint.api import LoadedPolicy
@@ -29,16 +29,7 @@ from keymint.names import typed_permission, typed_subject
 from keymint.output.json import line_json
 from keymint.output.report import members
 
-FORMS = (
-    "who can PERMISSION OBJECT",
-    "what can SUBJECT do",
-    "can SUBJECT [ever] PERMISSION OBJECT",
-    "flows SUBJECT SUBJECT",
-    "isolated SUBJECT SUBJECT",
-)
-"""Queries: words in small letters are written as they are; the one in brackets may be left out."""
 _OPTIONAL = "[ever]"
-HEADS = tuple(form.split()[0] for form in FORMS)
 _MOST = 20
 _Answer = tuple[str, dict[str, Any]]
 """``yes``, ``no`` or ``unknown``, and further results."""

@@ -12,7 +12,6 @@ import click
 
 from comarmor.errors import Diagnostic
 from keymint.api import DomainRange, Endpoint, Tier
-from keymint.api.graph import LABELLED
 from keymint.command_line.options import implementation_option, kind_option, raw_topic_doubt
 from keymint.command_line.verb import Report, Run, argument, findings_if, option, verb
 from keymint.names import name_of
@@ -31,14 +30,12 @@ from keymint.verify.transports import choose, models
 from keymint.verify.why import Explanation, MatchedRule, explain, request, source_package
 from keymint.workspace.policy_loading import load_policy
 
-_PERMISSIONS = [permission for permissions in LABELLED.values() for permission in permissions]
-
 
 @verb(former={"chosen": "-t --transport"})
 def why(
     run: Run,
     subject: str = argument(),
-    permission: str = argument(shell_complete=lambda _c, _p, text: [p for p in _PERMISSIONS if p.startswith(text)]),
+    permission: str = argument(),
     object_name: str = argument(metavar="OBJECT"),
     kind: str | None = kind_option,
     partitions: tuple[str, ...] = option(
