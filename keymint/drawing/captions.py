@@ -73,11 +73,6 @@ def size_words(labelled: LabelledGraph) -> str:
     return ", ".join(quantity(count, noun) for count, noun in counts)
 
 
-def unnamed_words(unnamed: Sequence[str]) -> str:
-    """Return which subjects have rights, but no name to draw them by."""
-    return one_line(f"not drawn: rights of other subjects like {first_few(unnamed)} (--subject NAME draws one)")
-
-
 def subtitle(drawn: SimplifiedGraph) -> str:
     """Return the caption of a picture: what there is, and how it is drawn; no edge is left out in silence."""
     labelled, transport = drawn.labelled, drawn.options.transport
@@ -88,7 +83,8 @@ def subtitle(drawn: SimplifiedGraph) -> str:
         false = sum(one.outcome(transport).false for one in labelled.edges)
         notes.append(f"{one_line(which)} compared with the policy: {quantity(false, 'mismatch')}")
     if labelled.unnamed:
-        notes.append(unnamed_words(labelled.unnamed))
+        others = one_line(first_few(labelled.unnamed))
+        notes.append(f"not drawn: rights of other subjects like {others} (--subject NAME draws one)")
     largest = sorted(drawn.alike, key=lambda each: -len(each.names))
     notes += (f"{alike_words(each)}, equal up to the name, are drawn as one" for each in largest[:_MOST_RUNS])
     if len(largest) > _MOST_RUNS:

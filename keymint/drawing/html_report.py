@@ -21,7 +21,7 @@ from comarmor.errors import citation
 from comarmor.text import one_line
 from keymint.api.graph import DomainObject, EdgeOutcome
 from keymint.drawing.appearance import KINDS, OUTCOMES, Theme, object_name, style_sheet
-from keymint.drawing.captions import left_out_words, size_words, unnamed_words
+from keymint.drawing.captions import left_out_words, size_words
 from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph
 from keymint.drawing.layout import NodeKey
 from keymint.drawing.simplify import EXPLICIT, DrawingOptions, LeftOut, priority, simplify
@@ -56,7 +56,6 @@ def html_report(labelled: LabelledGraph, sources: Mapping[str, bytes], picture: 
         "policy": f"default-src 'none'; style-src {_digest(style)}; script-src {_digest(script)}; "
         "base-uri 'none'; form-action 'none'",
         "size": size_words(labelled),
-        "unnamed": unnamed_words(labelled.unnamed) if labelled.unnamed else "",
         "made": [one_line(text) for text in labelled.made],
         "verdicts": [
             {"value": outcome, "words": words, "count": counts[outcome]}

@@ -140,20 +140,10 @@ def simplify(labelled: LabelledGraph, options: DrawingOptions) -> SimplifiedGrap
     for one in marked:
         marks[one.edge.subject].append(one)
     left_out = Counter((one.outcome(options.transport), one.edge.object.kind) for one in left)
-    return SimplifiedGraph(
-        labelled,
-        options,
-        shown,
-        {one: stands[one] for one in shown},
-        dict(sorted(folded.subjects.items(), key=lambda each: natural_order(each[0]))),
-        folded.classes,
-        folded.others,
-        marks,
-        members,
-        copies,
-        matrices,
-        left_out + Counter(labelled.omitted),
-    )
+    stands = {one: stands[one] for one in shown}
+    subjects = {name: folded.subjects[name] for name in sorted(folded.subjects, key=natural_order)}
+    parts = (subjects, folded.classes, folded.others, marks, members, copies, matrices)
+    return SimplifiedGraph(labelled, options, shown, stands, *parts, left_out + Counter(labelled.omitted))
 
 
 # -- edges that another stands for -----------------------------------------------------------------------------------
@@ -175,13 +165,9 @@ def _without_parts(stands: Mapping[LabelledEdge, Sequence[LabelledEdge]]) -> _St
 
 def _without_marked(stands: _Stands, options: DrawingOptions) -> tuple[_Stands, tuple[LabelledEdge, ...]]:
     """Return the edges, and those that a mark stands for: a common rule allows them, and so does the transport."""
-    marked = [
-        one
-        for one in stands
-        if one.common and not options.common and one.outcome(options.transport) is EdgeOutcome.ALLOW
-    ]
-    apart = frozenset(marked)
-    return {one: those for one, those in stands.items() if one not in apart}, tuple(marked)
+    common = (one for one in stands if one.common and not options.common)
+    marked = dict.fromkeys(one for one in common if one.outcome(options.transport) is EdgeOutcome.ALLOW)
+    return {one: those for one, those in stands.items() if one not in marked}, tuple(marked)
 
 
 def _copies(stands: Mapping[LabelledEdge, Sequence[LabelledEdge]]) -> Mapping[DomainObject, tuple[DomainObject, ...]]:

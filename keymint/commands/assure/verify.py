@@ -40,13 +40,7 @@ from keymint.store.changes import Action, Step
 from keymint.verify.compare import Asking
 from keymint.verify.copies import enclave_copies
 from keymint.verify.mismatch import Mismatch, Tally
-from keymint.verify.scope import (
-    VerificationScope,
-    installed_scopes,
-    made_up_objects,
-    selective,
-    subjects_of_graph,
-)
+from keymint.verify.scope import VerificationScope, installed_scopes, made_up_objects, selective, subjects_of_graph
 from keymint.verify.transports import choose
 from keymint.verify.verification import Verification, VerificationPart, verified_in_parts
 from keymint.workspace.policy_loading import load_policy

@@ -136,7 +136,8 @@ def graph(
             drawn = policy_at(source)
         else:
             session = run.inputs(run.workspace()).session()
-            drawn = _policy_of_workspace(run, session)
+            rules = workspace_library_rules(session)
+            drawn = DrawnPolicy(load_policy(session), session.profile.name, run.typed, rules)
         made = made_of(run, drawn.loaded, session)
         below = choose_subjects(drawn.loaded.subjects(), (), namespaces) if namespaces else ()
         labelled = policy_graph(title or drawn.name, drawn, tuple(sorted({*named, *below})), everything=everything)
@@ -199,10 +200,6 @@ def _graph(run: Run, source: Path, source_type: str | None) -> tuple[Graph | Non
     except KeymintError:
         return None, ()  # both are XML: a file that is not a capture is read as a policy, which reports its defects
     return reader.interpret(capture.graph, fold=True), capture.diagnostics
-
-
-def _policy_of_workspace(run: Run, session: Session) -> DrawnPolicy:
-    return DrawnPolicy(load_policy(session), session.profile.name, run.typed, workspace_library_rules(session))
 
 
 def _drawn(
