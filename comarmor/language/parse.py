@@ -303,8 +303,6 @@ def parse(sources: PolicyFiles) -> Policy:
 
 def _unique(expressions: list[Attachment]) -> tuple[Attachment, ...]:
     """Return attachments without duplicate texts."""
-    if len(expressions) == 1:
-        return (expressions[0],)
     first: dict[str, Attachment] = {}
     for expression in expressions:
         first.setdefault(expression.text, expression)

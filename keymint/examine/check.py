@@ -8,10 +8,12 @@ enclaves share.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import field, replace
 from datetime import timedelta
+from functools import partial
 from itertools import chain
+from typing import Any
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.regex import lazy_regex
@@ -213,10 +215,13 @@ def check(session: Session, names: Sequence[str], within: timedelta, pool: Pool)
     loaded = [load(session, name, within) for name in names]
     first = [examine(session, each, keyring) for each in loaded[:1]]  # processes have then what all enclaves need
     parts = pool.parts(loaded[1:], LEAST)
-    rest = pool.map(lambda part: [examine(session, each, keyring) for each in part], parts)
+    tasks: list[Callable[[], Iterable[Any]]] = [
+        partial(map, lambda each: examine(session, each, keyring), part) for part in parts
+    ]
+    around = outside_enclaves(session, within), file_status(session), git_exposure(session), _deciding(session)
+    tasks.append(lambda: map(tuple, around))  # what is last this process does itself, if there are two
+    *rest, (outside, of_files, of_git, decides) = pool.map(lambda task: tuple(task()), tasks)
     enclaves = [*first, *chain.from_iterable(rest)]
-    around, of_files, of_git = tuple(outside_enclaves(session, within)), file_status(session), git_exposure(session)
-    decides = _deciding(session)
     findings = [finding for _, _, of_enclave in enclaves for finding in of_enclave]
     seen = [each.seen for each in loaded if not each.is_absent]
     for build_type in sorted({name for of_enclave in seen for name in of_enclave}):
@@ -227,18 +232,18 @@ def check(session: Session, names: Sequence[str], within: timedelta, pool: Pool)
     fingerprints = {name: fingerprint for name, fingerprint, _ in enclaves if fingerprint}
     findings += shared_keys(session, fingerprints)
     findings += (*elsewhere(session), *encryption(session), *exposed_keys(session))
-    findings += around
+    findings += outside
     if defect := next((each for each in of_authorities if each.code in DECIDED_BY_A_PERSON), None):
         help_ = f"fix {defect.where} first"  # until then installing fails
         findings = [replace(each, help=help_) if _INSTALLS.search(each.help) else each for each in findings]
     return (*of_authorities, *of_files, *of_git, *findings, *_of_second_keystore(session, names, within, pool))
 
 
-def _deciding(session: Session) -> tuple[Diagnostic, ...]:
+def _deciding(session: Session) -> Iterator[Diagnostic]:
     try:
-        return tuple(deciding_findings(session))
+        yield from tuple(deciding_findings(session))
     except KeymintError as error:  # a package has defects, or the register
-        return error.diagnostics
+        yield from error.diagnostics
 
 
 def _of_second_keystore(

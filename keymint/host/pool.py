@@ -62,7 +62,10 @@ class Pool:
             there.close()
             pipes.append(here)
         own = _results(work, tasks[count - 1 :: count])
-        found = [*map(_received, pipes), own]
+        try:
+            found: list[_Results] = [*(pipe.recv() for pipe in pipes), own]
+        except EOFError as lost:
+            raise process_ended("executor-lost") from lost
         for at in range(len(tasks)):
             result, error = found[at % count][at // count]
             if error is not None:
@@ -90,14 +93,6 @@ def _answer(pipe: Connection, work: Callable[[Any], Any], tasks: Iterable[Any]) 
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     gc.freeze()  # a search for cycles among the parent's objects would copy their pages
     pipe.send(_results(work, tasks))
-
-
-def _received(pipe: Connection) -> _Results:
-    try:
-        found: _Results = pipe.recv()
-    except EOFError as error:
-        raise process_ended("executor-lost") from error
-    return found
 
 
 def divide(items: Sequence[Task], number: int) -> list[Sequence[Task]]:
