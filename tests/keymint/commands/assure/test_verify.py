@@ -81,7 +81,7 @@ def edited(keymint: Callable[..., Outcome], cell: Path) -> Callable[..., Outcome
         before = path.read_text()
         path.write_text(change(before))
         assert path.read_text() != before
-        outcome = keymint("install", "--no-prove", cwd=cell)
+        outcome = keymint("install", "--no-prove", "--yes", cwd=cell)
         assert outcome.code == 0, outcome.err
         return keymint("verify", "--json", *(arguments or ASKED), cwd=cell)
 

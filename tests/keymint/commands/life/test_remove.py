@@ -98,7 +98,7 @@ def test_packages_below_it_stay(keymint: Callable, provisioned: Path) -> None:
     policy = provisioned.parent / "policy.xml"
     text = policy.read_text()
     policy.write_text(text.replace("<attachment>/talker<", "<attachment>/robot1<"))
-    assert keymint("provision", policy, "-w", provisioned).code == 0
+    assert keymint("provision", policy, "-w", provisioned, "--yes").code == 0
     policy.write_text(text)
     assert keymint("remove", "robot1", cwd=provisioned).code == 0
     assert not (provisioned / "src/robot1/keymint_package.xml").exists()
@@ -127,7 +127,7 @@ def test_the_routers_file_loses_its_rights(keymint: Callable, policy: Path, tmp_
 
 def test_prune_names_the_packages_that_nobody_needs(keymint: Callable, renamed: Path) -> None:
     for _ in range(2):
-        pruned = keymint("provision", "../policy.xml", "-w", ".", "--prune", cwd=renamed)
+        pruned = keymint("provision", "../policy.xml", "-w", ".", "--prune", "--yes", cwd=renamed)
         assert (pruned.code, "'keymint remove /talker'" in pruned.err) == (0, True)
     assert keymint("remove", "talker", cwd=renamed).code == 0
     assert "remove" not in keymint("provision", "../policy.xml", "-w", ".", "--prune", cwd=renamed).err

@@ -262,7 +262,7 @@ def test_an_enclave_around_another_one(keymint, trust: str, tmp_path: Path) -> N
     """The folder of /robot1 contains that of /robot1/listener, which stays."""
     policy = (tmp_path / "policy.xml").read_text().replace(">/talker<", ">/robot1<")
     (tmp_path / "policy.xml").write_text(policy)
-    assert keymint("provision", "policy.xml", "-w", "ws").code == 0
+    assert keymint("provision", "policy.xml", "-w", "ws", "--yes").code == 0
     ran(keymint, "bundle", "robot1/listener", "robot1", "-w", "ws")
     trusting = ("--folder", "robot", "--authority-fingerprint", trust, "--new")
     ran(keymint, "accept", "robot1.listener.bundle", *trusting)
