@@ -81,9 +81,9 @@ class SignedRights:
     @classmethod
     def of(cls, name: str, generation: int, subject: str, not_after: datetime, content: bytes) -> SignedRights:
         """Return the entry of a document for the register; the arguments are as the attributes."""
-        # A window of 32 kB takes memory that the system hands out anew each time, at ten times the cost of the rest.
-        bits, level = (13, 6) if len(content) <= _SMALL else (zlib.MAX_WBITS, zlib.DEF_MEM_LEVEL)
-        packed = zlib.compressobj(1, zlib.DEFLATED, bits, level)
+        # A larger window than the content takes memory that the system hands out anew, at ten times the cost.
+        bits = max(9, min(len(content).bit_length(), zlib.MAX_WBITS))
+        packed = zlib.compressobj(1, zlib.DEFLATED, bits, bits + zlib.DEF_MEM_LEVEL - zlib.MAX_WBITS)
         return cls(name, generation, subject, not_after, packed.compress(content) + packed.flush())
 
     @property
@@ -101,8 +101,6 @@ class SignedRights:
         return content
 
 
-_SMALL = 1 << 14
-"""Size of a document, in bytes, up to which a window of 8 kB loses nothing."""
 _MOST = 64 << 20
 """Largest signed document in bytes that is read."""
 

@@ -235,7 +235,7 @@ def sign(
                 with_place(each, build) if each.where and each.where.file.startswith(own_documents) else each
                 for each in error.diagnostics
             ) from error
-        different = {file for file, artifact in own.items() if artifacts.get(file, artifact) != artifact}
+        different = {file for file in own.keys() & artifacts.keys() if artifacts[file] != own[file]}
         if conflicts := two_writers(session, package, writers, name, own, different):
             raise KeymintError.of(conflicts)
         artifacts |= own
