@@ -90,7 +90,7 @@ def test_refused(write, text: str, message: str) -> None:
 def test_no_attribute_is_suggested_in_its_own_place(write) -> None:
     with pytest.raises(ComArmorError) as caught:
         parse(write(policy(enclave("/a", '<topics call="ALLOW"/>'))))
-    assert caught.value.diagnostics[0].help == ""
+    assert caught.value.diagnostics[0].help == "remove it"
 
 
 def test_an_included_element_in_the_wrong_place(write) -> None:
