@@ -27,7 +27,7 @@ def said(content: bytes) -> Diagnostic:
         (b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", "a picture"),
         (b"\xff\xd8\xff\xe0\0\x10JFIF", "a picture"),
         (b"%PDF-1.7\n", "a PDF document"),
-        (gzip.compress(DOCUMENT.encode()), "a compressed file"),
+        (gzip.compress(DOCUMENT.encode(), mtime=0), "a compressed file"),
         (b"PK\x03\x04\n", "a compressed file"),
         (b"SQLite format 3\0", "an SQLite database"),
         (b"-----BEGIN CERTIFICATE-----\n", "a key, a certificate or a signature in PEM"),

@@ -289,7 +289,7 @@ MISTAKES = [
 ELSEWHERE = {
     34: "tests/keymint/examine/test_not_examined.py",
     43: "tests/keymint/drawing/test_alike.py",
-    44: "tests/packaging/test_wheel.py",
+    44: "tests/packaging/test_hints.py",
     45: "tests/robustness/test_kill.py",
     46: "tests/keymint/host/test_streams_and_signals.py",
     47: "tests/robustness/test_same_command.py",
