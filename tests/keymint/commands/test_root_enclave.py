@@ -179,7 +179,7 @@ def test_added_later_and_changed(keymint, ws: Path, tmp_path: Path) -> None:
     (tmp_path / "lone.xml").write_text(lone)
     assert keymint("provision", "lone.xml", "-w", "later").code == 0
     assert names(tmp_path / "later/install/enclaves") == SHARED
-    assert keymint("provision", "p.xml", "-w", "later").code == 0
+    assert keymint("provision", "p.xml", "-w", "later", "--yes").code == 0
     assert names(tmp_path / "later/install/enclaves") == OWN | SHARED
     (tmp_path / "p.xml").write_text(POLICY.replace("/chatter", "/gossip"))
     assert keymint("provision", "p.xml", "-w", ws, "-j", "2").code == 0
