@@ -17,12 +17,14 @@ import click
 from click.core import ParameterSource
 
 from comarmor.errors import Diagnostic, Origin
+from comarmor.regex import lazy_regex
 from comarmor.text import did_you_mean, quote
 from keymint.errors import ExitCode, KeymintError
 from keymint.view.file_reading import read_file
 
 MAX_BYTES = 1 << 16
 """Largest file of defaults that is read."""
+_WORD = lazy_regex(r"[\w-]+")
 _ENVIRONMENT = "environment"
 _WRITERS = ("build", "check", "create", "init", "install", "prove", "provision", "verify")
 SETTINGS: Mapping[str, tuple[str, Collection[str]]] = {
@@ -76,30 +78,28 @@ def load_defaults(
         # As for click, an empty variable is none.
         if value and (not words or words[0] in (SETTINGS[key][1] or verbs)):
             found.append(Default(key, " ".join(words), value, _ENVIRONMENT, f"${name}"))
-            problems += _wrong_value(found[-1], value, None, group)
+            problems += _wrong_value(found[-1], None, group)
     for source, path in files.items():
         # Users keep their own files elsewhere and link to them; that of a workspace may be from a stranger.
         content = read_file(path if source == "workspace" else os.path.realpath(path), MAX_BYTES) or b""
         try:
             text = content.decode()
-            entries = [*_entries(tomllib.loads(text))]
+            entries = [*_entries(tomllib.loads(text), verbs)]
         except (ValueError, RecursionError) as error:
             problems.append(_unreadable(error, content, path))
             continue
         for verb, key, given in entries:
             where = Origin(path, _line(text, verb, key))
             known = [name for name, (_, own) in SETTINGS.items() if not verb or not own or verb in own]
-            if verb and verb not in verbs:
-                help_ = did_you_mean(verb, verbs, "a table has the name of a verb, e.g. [check]")
-                problems.append(Diagnostic.error("default-unknown", f"there is no verb {quote(verb)}", where, help_))
-            elif key not in ("", *known):
-                message = f"{quote(key)} {f'of [{verb}] ' if verb else ''}cannot be set here"
-                help_ = did_you_mean(key, known, f"{', '.join(known)} can; all else belongs on the command line")
-                problems.append(Diagnostic.error("default-unknown", message, where, help_))
-            elif key:
+            if key in known:
                 value = str(int(given) if key == "verbose" and isinstance(given, bool) else given)
                 found.append(Default(key, verb, value, source, str(where)))
-                problems += _wrong_value(found[-1], given, where, group)
+                problems += _wrong_value(found[-1], where, group)
+            else:
+                message = f"{quote(key)} {f'of [{verb}] ' if verb else ''}cannot be set here"
+                otherwise = f"{', '.join(known)} can; all else belongs on the command line"
+                help_ = did_you_mean(key, verbs if isinstance(given, dict) else known, otherwise)
+                problems.append(Diagnostic.error("default-unknown", message, where, help_))
     if problems:
         raise KeymintError.of(problems, ExitCode.USAGE)
     # Of one source, what is said for a verb is stronger than what is said for all.
@@ -107,11 +107,10 @@ def load_defaults(
     return tuple(sorted(found, key=lambda each: (order.index(each.source), -len(each.verb))))
 
 
-def _entries(document: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
-    """Yield verb (empty for all), key and value of what a file sets; of a table also an entry without a key."""
+def _entries(document: Mapping[str, Any], verbs: Collection[str]) -> Iterator[tuple[str, str, Any]]:
+    """Yield verb (empty for all), key and value of what a file sets."""
     for key, value in document.items():
-        if isinstance(value, dict):
-            yield key, "", None
+        if key in verbs and isinstance(value, dict):
             yield from ((key, name, inner) for name, inner in value.items())
         else:
             yield "", key, value
@@ -126,13 +125,10 @@ def _unreadable(error: Exception, content: bytes, path: str) -> Diagnostic:
     return Diagnostic.error("default-invalid", message, Origin(path, line), example)
 
 
-def _wrong_value(default: Default, given: object, where: Origin | None, group: click.Group) -> Iterator[Diagnostic]:
+def _wrong_value(default: Default, where: Origin | None, group: click.Group) -> Iterator[Diagnostic]:
     """Yield what is wrong with a value, of which one verb at least must take it."""
-    problem, verbs = "", SETTINGS[default.key][1]
-    kinds = {"quiet": (str, bool), "jobs": (str, int), "verbose": (str, int, bool)}.get(default.key, (str,))
-    if type(given) not in kinds:
-        problem = f"{quote(str(given))} is of another kind"
-    for verb in () if problem else [default.verb] if default.verb in verbs else verbs or ("status",):
+    problem, verbs = "", SETTINGS[default.key][1] or ("status",)
+    for verb in [default.verb] if default.verb in verbs else verbs:
         command = group.get_command(click.Context(group), verb)
         try:
             for each in command.params if command else ():
@@ -147,16 +143,17 @@ def _wrong_value(default: Default, given: object, where: Origin | None, group: c
 
 
 def _line(text: str, table: str, key: str) -> int:
-    """Return the line of a key in a file, or of the head of its table; the first one if it is not found."""
-    found, inside = 1, not table
-    name = re.compile(rf"""\s*(?:{re.escape(table)}\s*\.\s*)?["']?{re.escape(key)}["']?\s*[=.]""")
+    """Return the line of a key in a file, or of the head of a table of this name; the first one if it is not found."""
+    wanted, head = _WORD.findall(f"{table}.{key}"), list[str]()
     for number, line in enumerate(text.splitlines(), 1):
-        if head := re.match(r"""\s*\[+\s*["']?([^\]"']*?)["']?\s*\]""", line):
-            inside = head[1].partition(".")[0].strip() == table
-            found = number if inside and table else found
-        elif key and name.match(line) and (inside or "." in line.partition("=")[0]):
+        words = _WORD.findall(line.partition("#")[0].partition("=")[0])
+        if line.lstrip().startswith("["):
+            head = found = words
+        else:
+            found = [*head, *words]
+        if found[: len(wanted)] == wanted:
             return number
-    return found
+    return 1
 
 
 def with_defaults(context: click.Context, verb: str, defaults: Sequence[Default]) -> dict[str, Any]:
@@ -175,11 +172,10 @@ def with_defaults(context: click.Context, verb: str, defaults: Sequence[Default]
     for each in defaults:
         # Of 'quiet' and 'verbose' only the strongest source counts.
         other = {"quiet": "verbose", "verbose": "quiet"}.get(each.key, each.key)
-        is_for_verb = each.verb in ("", first, verb) and (not SETTINGS[each.key][1] or first in SETTINGS[each.key][1])
-        is_weaker = other in chosen and chosen[other].source != each.source
-        if is_for_verb and not is_weaker and typed.isdisjoint((each.key, other)):
-            fits = each.value in getattr(options[each.key].type, "choices", (each.value,))
-            chosen |= {each.key: each} if fits and each.key not in chosen else {}
+        is_for_verb = each.verb in ("", first, verb) and first in (SETTINGS[each.key][1] or (first,))
+        is_strongest = chosen.get(other, each).source == each.source and typed.isdisjoint((each.key, other))
+        if is_for_verb and is_strongest and each.value in getattr(options[each.key].type, "choices", (each.value,)):
+            chosen.setdefault(each.key, each)
     return {str(options[key].name): options[key].type_cast_value(context, each.value) for key, each in chosen.items()}
 
 
