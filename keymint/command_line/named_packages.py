@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import codecs
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import NoReturn
 
@@ -13,7 +14,6 @@ from comarmor.patterns.glob import matches, parse
 from comarmor.patterns.tokens import SPECIAL
 from comarmor.text import did_you_mean, quantity, quote
 from comarmor.values import dataclass
-from keymint.command_line.named_files import read_input
 from keymint.errors import KeymintError
 from keymint.life.terms import DEFAULT, Threshold
 from keymint.names import package_name, subject_of, typed_subject
@@ -27,50 +27,52 @@ Named = tuple[str, Origin | None]
 """A name or pattern, and its place if a file has it."""
 
 
-def selection_of(run: Run, given: Sequence[str], listed: Path | None = None, state: str | None = None) -> Selection:
-    """Return the packages that a command line names.
-
-    Args:
-        run: the run.
-        given: names and patterns.
-        listed: a file with more of them; ``-`` is standard input.
-        state: only packages in this state.
+@lru_cache(maxsize=1)  # standard input is there once, and a plan may be made twice
+def _listed(run: Run, listed: Path) -> tuple[Named, ...]:
+    """Return the names and patterns in a file; ``-`` is standard input.
 
     Raises:
         KeymintError: the file cannot be read, or names nothing; or as :func:`listed_names`.
     """
-    found: list[Named] = [(each, None) for each in given]
-    if listed is not None:
-        is_standard = listed == _STANDARD
-        content = run.setting.read(MAX_FILE + 1) if is_standard else read_input(run, listed)
-        where = Origin("<standard input>" if is_standard else str(listed))
-        if not (names := list(listed_names(content, where.file))):
-            raise KeymintError("names no package", where=where, help="write a name a line", code="names-none")
-        found += names
-    return Selection(run, tuple(found), state)
+    from keymint.command_line.named_files import read_input  # noqa: PLC0415 - not needed for 'provision'
+
+    is_standard = listed == _STANDARD
+    content = run.setting.read(MAX_FILE + 1) if is_standard else read_input(run, listed)
+    where = Origin("<standard input>" if is_standard else str(listed))
+    if not (names := tuple(listed_names(content, where.file))):
+        raise KeymintError("names no package", where=where, help="write a name a line", code="names-none")
+    return names
 
 
 @dataclass(frozen=True, slots=True)
-class Selection:
-    """Names and patterns that somebody typed, before it is known what they stand for.
+class Names:
+    """What a command line names, before it is known what that stands for; false if it names nothing: all packages.
 
     Attributes:
-        run: the run, which is told that no package is in the state.
-        typed: each with its place if a file has it.
-        state: only packages in this state; None for any.
+        given: names, and patterns as policies have them.
+        listed: a file with more of them; ``-`` is standard input.
+        state: only packages in this state, of those that are named, else of all.
     """
 
-    run: Run
-    typed: tuple[Named, ...]
+    given: tuple[str, ...]
+    listed: Path | None = None
     state: str | None = None
 
+    def __bool__(self) -> bool:
+        return bool(self.given or self.listed or self.state)
+
+    def _typed(self, run: Run) -> tuple[Named, ...]:
+        """Return the names and patterns; errors as :func:`_listed`."""
+        return *((each, None) for each in self.given), *(_listed(run, self.listed) if self.listed else ())
+
     def packages(
-        self, session: Session, known: Collection[str] | None = (), matched: Collection[str] = (),
+        self, run: Run, session: Session, known: Collection[str] | None = (), matched: Collection[str] = (),
         otherwise: str = "", threshold: Threshold = DEFAULT,
     ) -> tuple[str, ...]:  # fmt: skip
         """Return the packages that it stands for, in this order, each once; without a name or pattern, all known ones.
 
         Args:
+            run: the run, which is told that no package is in the state.
             session: the workspace and its profile.
             known: what may be named, by default the source packages; None for any legal name.
             matched: what a pattern finds; by default what may be named.
@@ -78,13 +80,15 @@ class Selection:
             threshold: when a package is due.
 
         Raises:
-            KeymintError: a name is illegal or unknown, a pattern is none, or finds nothing; with all of these.
+            KeymintError: a name is illegal or unknown, a pattern is none, or finds nothing; with all of these. Or the
+                file cannot be read.
         """
+        typed = self._typed(run)
         known = known if known is None else frozenset(known or session.packages())
         every = {subject_of(name): name for name in sorted(matched or known or ())}
-        chosen: dict[str, None] = {} if self.typed else dict.fromkeys(every.values())
+        chosen: dict[str, None] = {} if typed else dict.fromkeys(every.values())
         defects: list[Diagnostic] = []
-        for text, place in self.typed:
+        for text, place in typed:
             try:
                 chosen.update(dict.fromkeys(_found(session, text, known, every, otherwise)))
             except KeymintError as error:
@@ -95,27 +99,29 @@ class Selection:
             return tuple(chosen)
         in_state = _in_state(session, self.state, chosen, threshold)
         if not (left := tuple(name for name in chosen if name in in_state)):
-            self.run.console.line(f"no package is {self.state}")
+            run.console.line(f"no package is {self.state}")
         return left
 
-    def confirm(self, verb: str, names: Sequence[str]) -> tuple[Diagnostic, ...]:
+    def confirm(self, run: Run, verb: str, names: Sequence[str]) -> tuple[Diagnostic, ...]:
         """Ask before something is done to packages that nobody named one by one; see :meth:`Run.confirm`.
 
         Args:
+            run: the run.
             verb: what is done, e.g. ``revoke``.
             names: the packages that a pattern or a state stands for.
         """
-        if self.run.resumes or not names or not (self.state or any(SPECIAL.search(text) for text, _ in self.typed)):
+        by_name = not self.state and not any(SPECIAL.search(text) for text, _ in self._typed(run))
+        if run.resumes or not names or by_name:
             return ()
         subjects = ", ".join(map(subject_of, names))
         message = f"{quantity(len(names), 'package')} to {verb}, not named one by one: {subjects}"
-        return self.run.confirm([Diagnostic.warning("names-by-pattern", message)])
+        return run.confirm([Diagnostic.warning("names-by-pattern", message)])
 
 
 def _found(
     session: Session, text: str, known: Collection[str] | None, matched: Mapping[str, str], otherwise: str
 ) -> Sequence[str]:
-    """Return the packages of a name or a pattern, of those by subject; see :meth:`Selection.packages`."""
+    """Return the packages of a name or a pattern, of those by subject; see :meth:`Names.packages`."""
     if SPECIAL.search(text):
         pattern = parse(typed_subject(text))
         found = [name for subject, name in matched.items() if matches(pattern, subject)]

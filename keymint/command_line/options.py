@@ -6,7 +6,7 @@ from __future__ import annotations
 import re
 from datetime import timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -14,40 +14,14 @@ from comarmor.errors import Diagnostic
 from comarmor.regex import lazy_regex
 from comarmor.rules import PERMISSIONS, RAW_PREFIXES
 from comarmor.values import dataclass
+from keymint.command_line import named_packages
 from keymint.command_line.verb import FILE, argument, flag, option, option_group, path_option, plugin
 from keymint.life.terms import Threshold
 from keymint.names import RAW
 from keymint.stages.work import InstallRequest
 
-if TYPE_CHECKING:
-    from keymint.command_line.named_packages import Selection
-    from keymint.run.run import Run
-
 DEFAULT_PROFILE_TYPE = "keymint_ros"
-
-
-@dataclass(frozen=True, slots=True)
-class Names:
-    """What a command line names; false if it names nothing, which means all packages.
-
-    Attributes:
-        given: names, and patterns as policies have them.
-        listed: a file with more of them.
-        state: only packages in this state, of those that are named, else of all.
-    """
-
-    given: tuple[str, ...]
-    listed: Path | None = None
-    state: str | None = None
-
-    def __bool__(self) -> bool:
-        return bool(self.given or self.listed or self.state)
-
-    def selection(self, run: Run) -> Selection:
-        """Return the names and patterns; errors as :func:`keymint.command_line.named_packages.selection_of`."""
-        from keymint.command_line.named_packages import selection_of  # noqa: PLC0415 - not needed for 'provision'
-
-        return selection_of(run, self.given, self.listed, self.state)
+Names = named_packages.Names
 
 
 def names_group(word: str = "NAME", *, required: bool = False, state: bool = True) -> Any:

@@ -12,8 +12,7 @@ from typing import Any
 from cryptography import x509
 
 from comarmor.errors import Diagnostic, Severity
-from keymint.api import Package
-from keymint.api.lazy import lazy
+from keymint.api import Package, lazy
 from keymint.authority.authorities import Authorities
 from keymint.authority.authority_files import chains_digest
 from keymint.errors import KeymintError

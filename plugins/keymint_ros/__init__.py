@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from keymint.api import API_VERSION, PackageType, ProfileType
-from keymint.api.lazy import lazy
+from keymint.api import API_VERSION, PackageType, ProfileType, lazy
 from keymint_ros.manifest import BUILD_TYPE, ISSUANCE, MARKER, SIGNER
 
 __all__ = ["RosPackageType", "RosProfileType", "package_type", "profile_type"]

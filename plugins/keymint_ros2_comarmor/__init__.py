@@ -11,8 +11,7 @@ from keymint_comarmor import require_policies
 
 import comarmor
 from comarmor.xml.package_folders import PackageFolders
-from keymint.api import API_VERSION, PolicySource, PolicyType
-from keymint.api.lazy import lazy
+from keymint.api import API_VERSION, PolicySource, PolicyType, lazy
 
 if TYPE_CHECKING:
     from keymint_comarmor.loaded import ComArmorPolicy

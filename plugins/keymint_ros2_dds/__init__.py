@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 from comarmor.rules import PERMISSIONS
-from keymint.api import API_VERSION, BuildType, KeystoreReader, NameMapping, Presentation, Prover
-from keymint.api.lazy import lazy
+from keymint.api import API_VERSION, BuildType, KeystoreReader, NameMapping, Presentation, Prover, lazy
 from keymint_ros2_dds.enclave_layout import COPIED, LAYOUTS, PERMISSIONS_P7S, READS
 
 __all__ = ["DdsSecurity", "build_type"]

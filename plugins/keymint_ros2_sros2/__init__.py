@@ -6,8 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from keymint.api import API_VERSION, PolicyType
-from keymint.api.lazy import lazy
+from keymint.api import API_VERSION, PolicyType, lazy
 
 __all__ = ["Sros2PolicyType", "policy_type"]
 

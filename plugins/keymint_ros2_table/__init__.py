@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from keymint.api import API_VERSION, PolicyType
-from keymint.api.lazy import lazy
+from keymint.api import API_VERSION, PolicyType, lazy
 
 __all__ = ["TablePolicyType", "policy_type"]
 

@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 from comarmor.rules import PERMISSIONS
-from keymint.api import API_VERSION, BuildType, Prover
-from keymint.api.lazy import lazy
+from keymint.api import API_VERSION, BuildType, Prover, lazy
 from keymint_ros2_zenoh.enclave_layout import LAYOUTS, READS
 
 __all__ = ["Zenoh", "build_type"]

@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from keymint.api import API_VERSION, PolicyFormat
-from keymint.api.lazy import lazy
+from keymint.api import API_VERSION, PolicyFormat, lazy
 
 __all__ = ["XacmlPolicyFormat", "policy_format"]
 

@@ -71,9 +71,8 @@ def check(
     docs/verification.md says in one table what each verb reads.
     Exit code 3: there are findings, or you may not read all of private/. NAME is a package [all].
     """
-    selection = names.selection(run)
     session = run.session(auditing=True)
-    chosen = selection.packages(session)
+    chosen = names.packages(run, session)
     findings, state = list(find(session, chosen, within, run.pool)), session.state
     if not no_prove:
         known = {(each.code, each.where and each.where.file) for each in findings}

@@ -64,9 +64,8 @@ def prove(
     Exit code 3: a claim is refuted or unknown, or with --strict has an exception; a certificate or grant is expired or
     not yet valid; an enclave does not trust the workspace's authorities; or an enclave has no source package.
     """
-    selection = names.selection(run)
     session = run.session(auditing=True).for_vendors_of(distro)
-    chosen = with_enclaves(session, selection.packages(session), named=bool(names))
+    chosen = with_enclaves(session, names.packages(run, session), named=bool(names))
     try:
         policy = lazy_policy(session)  # loaded only if something is to be proven
     except KeymintError as error:

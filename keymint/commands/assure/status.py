@@ -142,7 +142,7 @@ def _log(run: Run) -> Report:
 
 
 def _named(run: Run, session: Session, names: Names, rows: Sequence[StatusRow]) -> list[StatusRow]:
-    chosen = frozenset(names.selection(run).packages(session, [row.package for row in rows]))
+    chosen = frozenset(names.packages(run, session, [row.package for row in rows]))
     return [row for row in rows if row.package in chosen]
 
 

@@ -97,12 +97,11 @@ def verify(
 
     Exit code 3: there are mismatches, or an enclave does not trust the workspace's authorities.
     """
-    selection = names.selection(run)
     session = run.session().for_vendors_of(distro)
     if ros:
         chosen, tier = (*chosen, "ros"), tier if tier == Tier.EXCHANGE else str(Tier.ADMISSION)
     tally = Tally() if ros else None
-    chosen_names = with_enclaves(session, selection.packages(session), named=bool(names))
+    chosen_names = with_enclaves(session, names.packages(run, session), named=bool(names))
     installed, enclaves, others, infrastructure = installed_scopes(session, chosen_names)
     # A transport trusts the authorities in the enclave; they must be the workspace's.
     foreign = differences(session, chosen_names)

@@ -41,7 +41,6 @@ def harden(
 
     Private keys in the workspace are 0600 already; on robots that is 'chmod 600'.
     """
-    selection = names.selection(run)
     if applied:
         run.recover(run.workspace())
     session = run.session()
@@ -58,7 +57,7 @@ def harden(
         raise click.UsageError("--apply needs a STEP: each has a cost of its own.")
     if names and step != Weakness.NAMES:
         raise click.UsageError(f"the step {step!r} concerns all packages; name none.")
-    wanted = selection.packages(session) if names else chosen[0].concerns
+    wanted = names.packages(run, session) if names else chosen[0].concerns
 
     def make_plan(session: Session) -> Plan:
         match step:

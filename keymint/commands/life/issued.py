@@ -9,7 +9,6 @@ from functools import partial
 from typing import Any
 
 from comarmor.text import hexadecimal, natural_order
-from keymint.command_line.named_packages import Selection
 from keymint.command_line.options import Names, names_group
 from keymint.command_line.verb import Report, Run, flag, verb
 from keymint.errors import KeymintError
@@ -37,14 +36,13 @@ def issued_certificates(
 
     NAME is a package [all], also one whose sources are gone. --json has the fingerprints of the keys as well.
     """
-    selection = names.selection(run)
     if tolerate:
-        return run.change(partial(_accepted, selection if names else None))
+        return run.change(partial(_accepted, run, names))
     session = run.session()
     register = complete_register(session)
     known = {each.name for each in register.certificates.values() if each.name}
     hint = "without a name it lists all certificates"
-    chosen = frozenset(selection.packages(session, known.union(session.packages()), otherwise=hint))
+    chosen = frozenset(names.packages(run, session, known.union(session.packages()), otherwise=hint))
     entries = [
         each
         for each in register.certificates.values()
@@ -76,7 +74,7 @@ def _state(certificate: Mapping[str, Any], now: datetime) -> str:
     return "expired" if certificate["not_after"] < now else "in force"
 
 
-def _accepted(selection: Selection | None, session: Session) -> Plan:
+def _accepted(run: Run, names: Names, session: Session) -> Plan:
     """Plan that the documents of some packages that were signed before stay good with the owner's consent.
 
     Raises:
@@ -84,7 +82,7 @@ def _accepted(selection: Selection | None, session: Session) -> Plan:
     """
     register = complete_register(session)
     known = {each.name for each in register.rights}
-    chosen = selection.packages(session, known.union(session.packages()), known) if selection else ()
+    chosen = names.packages(run, session, known.union(session.packages()), known) if names else ()
     if missing := [name for name in chosen if name not in known] or not chosen:
         who = (
             f"of {subject_of(missing[0])} is known" if isinstance(missing, list) else "is tolerated unless you name it"

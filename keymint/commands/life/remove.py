@@ -31,15 +31,14 @@ def remove(
 
     A package that is made again under the same name gets a new key, and goes on with the next generation.
     """
-    selection = names.selection(run)
 
     def make_plan(session: Session) -> tuple[Plan, tuple[Revoking, Plan, tuple[str, ...]]]:
         there = removable_names(session)
         own = there.difference(session.infrastructure())  # no pattern finds what the transport needs
         hint = "'keymint status' lists what is here"
-        chosen = () if run.resumes else selection.packages(session, there | certified_names(session), own, hint)
+        chosen = () if run.resumes else names.packages(run, session, there | certified_names(session), own, hint)
         require_unneeded(session, chosen)
-        told = selection.confirm("remove", chosen)
+        told = names.confirm(run, "remove", chosen)
         removing = plan_removal(session, chosen, deployed=not never_deployed)
         plan = conduct(Work(session), Request((), change=removing.plan), run.crew).plan
         plan = in_step(run.crew, session, plan.noting(*told, *removing.diagnostics))

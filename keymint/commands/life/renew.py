@@ -69,11 +69,10 @@ def renew(
       1 something that is due was not renewed
       3 a person must renew an authority, a second keystore, or make a key elsewhere; with --dry-run: something is due
     """
-    selection = names.selection(run)
 
     def make_plan(session: Session) -> tuple[Plan, _Renewal]:
-        packages = selection.packages(session, threshold=threshold)
-        told = selection.confirm("rekey", packages) if rekey else ()
+        packages = names.packages(run, session, threshold=threshold)
+        told = names.confirm(run, "rekey", packages) if rekey else ()
         enclaves = with_enclaves(session, packages, named=bool(names))
         due = schedule(session, installed_terms(session, enclaves), threshold)
         if names:

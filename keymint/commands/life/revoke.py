@@ -46,12 +46,11 @@ def revoke(
     With the reason superseded a new certificate for the same key is installed. Otherwise the enclave is removed, until
     'keymint renew --rekey NAME' makes a new key.
     """
-    selection = names.selection(run)
 
     def make_plan(session: Session) -> tuple[Plan, tuple[Revoking, Plan, tuple[str, ...]]]:
         certified = {each.name for each in complete_register(session, lossy=True).certificates.values() if each.name}
-        chosen = selection.packages(session, None, certified)
-        told = selection.confirm("revoke", chosen)
+        chosen = names.packages(run, session, None, certified)
+        told = names.confirm(run, "revoke", chosen)
         revoking = plan_revocation(session, () if run.resumes else chosen, reason)
         request = Request(revoking.packages, options=InstallRequest(prove=prove), change=revoking.plan)
         plan = conduct(Work(session), request, run.crew).plan

@@ -58,11 +58,10 @@ def bundle(
     has the private key if this workspace made it; then keep it as secret as the key. NAME is an installed package, and
     PATTERN matches the names of several: '/robot1/*'.
     """
-    selection = names.selection(run)
 
     def make_plan(session: Session) -> tuple[Plan, Sequence[MadeBundle]]:
         there = [name for name in enclave_names(session) if name in frozenset(session.packages())]
-        chosen = dict.fromkeys(selection.packages(session, matched=there))
+        chosen = dict.fromkeys(names.packages(run, session, matched=there))
         require_output(run, output, len(chosen))
         ahead, authorities = _second_keystore(run, session) if staged else (None, _in_force(session, chosen))
         return plan_bundles(session, chosen, authorities, ahead)

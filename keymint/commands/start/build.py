@@ -43,11 +43,11 @@ def build(
     if rekey and not names:
         help_ = "name them: 'keymint build --rekey NAME', or '*' for all; 'keymint renew' keeps keys"
         raise usage_error("--rekey replaces private keys, and no package is named", help_)
-    options, selection = build_options(run, document_options), names.selection(run)
+    options = build_options(run, document_options)
 
     def make_plan(session: Session) -> Plan:
-        chosen = selection.packages(session)
-        told = selection.confirm("rekey", chosen) if rekey else ()
+        chosen = names.packages(run, session)
+        told = names.confirm(run, "rekey", chosen) if rekey else ()
 
         def notes(work: Work) -> Iterator[Diagnostic]:
             yield from told

@@ -82,7 +82,6 @@ def create(
     if not names and not all_subjects and not acceptance.trust_package:
         raise usage_error("no subject is named", "name some, or use --all")
     run.workspace()
-    selection = names.selection(run)
 
     def make_plan(session: Session) -> Plan:
         work = accept(Work(session), acceptance)
@@ -91,7 +90,7 @@ def create(
         policy = lazy_policy(work.session)
         work = work.then(plan_release(work.session, policy))
         every = packages_to_create(work.session, policy)
-        named = selection.packages(work.session, None, every, "name a subject of the policy") if names else ()
+        named = names.packages(run, work.session, None, every, "name a subject of the policy") if names else ()
         subjects = dict.fromkeys([*named, *(every if all_subjects else ())])
         if not subjects:
             raise no_subject("name the subjects: keymint create /robot1/talker")

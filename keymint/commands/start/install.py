@@ -37,14 +37,12 @@ def install(
     if names and request.new_authority:
         raise click.UsageError("--new-authority applies to all enclaves; do not name packages.")
 
-    selection = names.selection(run)
-
     def exit_code(plan: Plan) -> ExitCode:
         nothing = findings_exit([finding for finding in plan.diagnostics if finding.code == UNCREATED])
         return exit_code_of(plan) or nothing
 
     def make_plan(session: Session) -> Plan:
-        chosen = selection.packages(session)
+        chosen = names.packages(run, session)
 
         def notes(_: Work) -> Iterator[Diagnostic]:
             yield from policy_changed(session) if chosen or names else (no_packages(session),)

@@ -88,9 +88,8 @@ def provision(
         told: tuple[Diagnostic, ...] = ()
         new_keys: tuple[str, ...] = ()
         if rekey:
-            selection = rekey.selection(run)
-            new_keys = selection.packages(work.session, names)
-            told = selection.confirm("rekey", new_keys)
+            new_keys = rekey.packages(run, work.session, names)
+            told = rekey.confirm(run, "rekey", new_keys)
         unknown = unknown_hints(options.hints, document_options.hints, (*names, *work.session.needed_infrastructure()))
         everything = Request(
             names,

@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from keymint.api import API_VERSION, GraphSource
-from keymint.api.lazy import lazy
+from keymint.api import API_VERSION, GraphSource, lazy
 
 __all__ = ["DdsGraphs", "graph_source"]
 

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from functools import partial
 
-from keymint.api import API_VERSION, TransportType
-from keymint.api.lazy import lazy
+from keymint.api import API_VERSION, TransportType, lazy
 
 _SIMULATED = lazy("keymint_ros2_dds.transports.enclave_model:Simulated")
 _ARDENT = lazy("keymint_ros2_dds.transports.ardent_middleware:ArdentMiddleware")

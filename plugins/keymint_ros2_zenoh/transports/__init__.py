@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from functools import partial
 
-from keymint.api import API_VERSION, TransportType
-from keymint.api.lazy import lazy
+from keymint.api import API_VERSION, TransportType, lazy
 
 __all__ = ["real_zenoh", "zenoh_1"]
 
