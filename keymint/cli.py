@@ -7,6 +7,7 @@ import functools
 import io
 import os
 import re
+import shutil
 import signal
 import sys
 import time
@@ -249,13 +250,7 @@ def _may_have_colours(stream: TextIO) -> bool:
 
 def _width() -> int | None:
     """Return how many columns tables may have: ``COLUMNS``, the width of the terminal, or None if there is none."""
-    columns = os.environ.get("COLUMNS", "")
-    if columns.isdecimal() and columns.isascii() and int(columns[:9]) > 0:
-        return int(columns[:9])
-    try:
-        return os.get_terminal_size(1).columns or None if sys.stdout.isatty() else None
-    except OSError:
-        return None
+    return shutil.get_terminal_size((0, 0)).columns or None
 
 
 def _recalled(given: Sequence[str]) -> int | None:

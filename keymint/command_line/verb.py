@@ -72,11 +72,8 @@ def verb(
         own_name = name or function.__name__.removeprefix(f"{of}_")
         said = f"{of} {own_name}".strip()
         parameters, groups = parameters_of(function)
-        renamed = [
-            (each, _former(each, former[each.name]))
-            for each in parameters
-            if isinstance(each, click.Option) and each.name in former
-        ]
+        own: Mapping[Any, Any] = {each.name: each for each in parameters}
+        renamed = [(own[now], _former(own[now], names)) for now, names in former.items()]
 
         def command(context: click.Context, /, **options: Any) -> None:
             setting: Setting = context.find_root().obj()

@@ -42,10 +42,8 @@ def require_unneeded(session: Session, names: Sequence[str]) -> None:
     errors = [_named(policy, subject_of(name)) for name in names if policy and subject_of(name) in named]
     for name, (title, _) in session.needed_infrastructure().items():
         if name in names and session.role(name) is Role.INFRASTRUCTURE:
-            message, help_ = (
-                f"{subject_of(name)} is {title} of this workspace",
-                "'keymint renew --rekey' gives it a new key",
-            )
+            message = f"{subject_of(name)} is {title} of this workspace"
+            help_ = "'keymint renew --rekey' gives it a new key"
             errors.append(Diagnostic.error("package-needed", message, session.package_marker(name), help_))
     if errors:
         raise KeymintError.of(errors)

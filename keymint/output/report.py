@@ -78,9 +78,6 @@ def rolled_up(items: Sequence[_T]) -> Iterator[tuple[_T, int]]:
     Args:
         items: diagnostics, steps or lines, in the order in which they are shown.
     """
-    if len(items) <= FEW:
-        yield from ((each, 1) for each in items)
-        return
     kinds = [_kind(each) for each in items]
     numbers = Counter(kinds)
     for item, own in zip(items, kinds, strict=True):
@@ -102,8 +99,6 @@ def _kind(item: Diagnostic | Step | str) -> tuple[str, str, str]:
 
 
 def _without_names(text: str, subject: str) -> str:
-    if not text:
-        return text
     name = subject.strip("/")
     return _NAMES.sub("… ", text.replace(name, "/") if name else text)
 

@@ -12,7 +12,7 @@ from string import Template
 
 from comarmor.data import locate
 from keymint.api import Bootstrap, Role, Validity
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import KeymintError, usage_error
 from keymint.pki import periods
 from keymint_ros import distros, validity
 from keymint_ros.manifest import BUILD_TYPE, MARKER
@@ -194,11 +194,8 @@ def checked_domain(value: str) -> str:
     """
     if re.fullmatch("[0-9]{1,3}", value) and int(value) <= _MAX_DOMAIN:
         return str(int(value))
-    message, help_ = (
-        f"{value} is not a DDS domain id from 0 to {_MAX_DOMAIN}",
-        "use the ROS_DOMAIN_ID of your robots, usually 0",
-    )
-    raise KeymintError(message, help=help_, code="domain-range", exit_code=ExitCode.USAGE)
+    message = f"{value} is not a DDS domain id from 0 to {_MAX_DOMAIN}"
+    raise usage_error(message, "use the ROS_DOMAIN_ID of your robots, usually 0", "domain-range")
 
 
 def _check_line(noun: str, value: str) -> None:

@@ -32,6 +32,8 @@ from keymint.view.tree import Tree
 from keymint.workspace.policy_loading import lazy_policy
 from keymint.workspace.session import Session
 
+_DEFAULTS = {"OPTION": "option", "VERB": "verb", "DEFAULT": "value", "FROM": "source", "PLACE": "place"}
+
 
 @verb()
 def status(
@@ -63,7 +65,8 @@ def status(
         policy, diagnostics = None, list(error.diagnostics)
     rows = [_as_typed(run, row) for row in package_rows(session, policy)]
     if names:
-        rows = _named(run, session, names, rows)
+        chosen = frozenset(names.packages(run, session, [row.package for row in rows]))
+        rows = [row for row in rows if row.package in chosen]
     elif policy:
         missing = _missing(session, policy, rows, diagnostics)
     defaults = _defaults(run) if run.verbosity > 0 and kind == "table" else ()
@@ -76,7 +79,7 @@ def status(
             _show(console, session.now, rows, missing, shared)
         if defaults:
             console.line()
-            console.table({"OPTION": "name", "DEFAULT": "value", "FROM": "from"}, defaults)
+            console.table(_DEFAULTS, defaults)
 
     show(run.console)
     result = {
@@ -91,8 +94,7 @@ def status(
     exit_code = findings_if(strict and outliving)
     report = run.report(result, diagnostics, exit_code, workspace=session.workspace, notes=True)
     if defaults:
-        shown = ("option", "verb", "value", "source", "place")
-        result["defaults"] = [{name: each[name] for name in shown} for each in defaults]
+        result["defaults"] = defaults
     if not diagnostics:
         run.remember(session, _changes([*rows, *shared], session.now), report, show)
     return report
@@ -111,14 +113,10 @@ def _missing(
 
 
 def _defaults(run: Run) -> list[dict[str, Any]]:
-    """Return what options are if they are not given, and where that comes from, with the words for a table."""
+    """Return what options are if they are not given, and where that comes from."""
     from keymint.command_line.defaults import default_rows  # noqa: PLC0415 - only with -v
 
-    rows = [{**each, "place": each["place"] and run.typed(each["place"])} for each in default_rows(run.defaults)]
-    return [
-        {**each, "name": f"{each['verb'] or ''} {each['option']}".strip(), "from": each["place"] or each["source"]}
-        for each in rows
-    ]
+    return [{**each, "place": each["place"] and run.typed(each["place"])} for each in default_rows(run.defaults)]
 
 
 def _log(run: Run) -> Report:
@@ -139,11 +137,6 @@ def _log(run: Run) -> Report:
     else:
         run.console.line("no run that wrote is on record")
     return run.report({"runs": runs}, workspace=workspace)
-
-
-def _named(run: Run, session: Session, names: Names, rows: Sequence[StatusRow]) -> list[StatusRow]:
-    chosen = frozenset(names.packages(run, session, [row.package for row in rows]))
-    return [row for row in rows if row.package in chosen]
 
 
 def _changes(rows: Sequence[StatusRow], now: datetime) -> Iterator[datetime]:

@@ -20,15 +20,10 @@ from keymint.workspace.workspace import PROFILE_MARKER
 STAGE = "set"
 
 
-def _complete_setting(_context: object, _parameter: object, incomplete: str) -> list[str]:
-    """Complete the name of a setting, for the shell."""
-    return [each for each in ("distro", "domain", "subject-format", "valid-for") if each.startswith(incomplete)]
-
-
 @verb(dry_run=True, name="set")
 def set_setting(
     run: Run,
-    setting: str | None = argument(required=False, shell_complete=_complete_setting),
+    setting: str | None = argument(required=False),
     value: str | None = argument(required=False),
 ) -> Report:
     """Change a setting that the workspace got from 'init': in its profile, whose comments and layout stay.

@@ -69,7 +69,7 @@ def test_the_stronger_one_is_shown_with_its_place(keymint, provisioned: Path, us
     assert found["renew --threshold"] == ("50%", "environment", "$KEYMINT_RENEW_THRESHOLD")
     assert defaults(keymint, provisioned, env={"KEYMINT_JOBS": "4"})["--jobs"][:2] == ("4", "environment")
     shown = keymint("status", "-v", cwd=provisioned).out
-    assert ["--jobs", "3", "keymint.toml:3"] in [line.split() for line in shown.splitlines()]
+    assert ["--jobs", "-", "3", "workspace", "keymint.toml:3"] in [line.split() for line in shown.splitlines()]
 
 
 def test_precedence_by_its_effect(keymint, provisioned: Path, user: Path) -> None:

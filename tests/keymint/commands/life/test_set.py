@@ -6,10 +6,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-import click
 import pytest
 
-from keymint.cli import cli
 from tests.conftest import snapshot
 
 GRANTS, GOVERNANCE = "profile/package.defaults/permissions.xml", "profile/package.defaults/governance.xml"
@@ -116,13 +114,6 @@ def test_the_message_about_an_option_leads_here(keymint: Callable, provisioned: 
     assert "'keymint set domain 5'" in refused.err
     assert keymint("set", "domain", "5", cwd=provisioned).code == 0
     assert keymint("provision", "../policy.xml", "-w", ".", "--domain", "5", cwd=provisioned).code == 0
-
-
-def test_completion_knows_the_settings() -> None:
-    command = cli.get_command(click.Context(cli), "set")
-    assert command is not None
-    completed = command.params[0].shell_complete(click.Context(command), "d")
-    assert [each.value for each in completed] == ["distro", "domain"]
 
 
 def test_of_the_router(keymint: Callable, policy: Path, tmp_path: Path) -> None:
