@@ -156,66 +156,6 @@ KIND_NAMES = ("subject", *KINDS)
 FONTS = "'DejaVu Sans Mono','Liberation Mono',Menlo,Consolas,'Noto Sans Mono',monospace"
 """Fixed-width fonts of 0.55 to 0.61 em, for which boxes are sized."""
 
-_SHAPES = (
-    f".keymint text{{font-family:{FONTS};font-size:12px}}\n"
-    """\
-.keymint .title{font-size:15px;font-weight:bold}
-.keymint .heading{font-size:13px;font-weight:bold}
-.keymint .pattern rect{stroke-dasharray:4 3}
-.keymint .pattern text{font-style:italic}
-.keymint .box rect{stroke-width:1.4}
-.keymint .curve{fill:none;stroke-width:1.5}
-.keymint .head{stroke-width:1.5;stroke-linejoin:round}
-.keymint .true .curve{stroke-dasharray:6 4}
-.keymint .false .curve{stroke-width:3.6}
-.keymint .false .head{stroke-width:2.4}
-.keymint .hazard{fill:none;stroke-width:9}
-.keymint .alarm text{font-size:11px;font-weight:bold;text-anchor:middle}
-.keymint .alike rect{stroke-width:3.2}
-.keymint .mark{font-size:11px}
-.keymint .sign rect{stroke-width:1.4}
-.keymint .sign text{font-size:11px;font-weight:bold;text-anchor:middle}
-.keymint .sign .bar{stroke-width:1.2;stroke-opacity:.5}
-.keymint .sign .hazard{stroke-width:2.5}
-.keymint .sign.false rect{stroke-width:3}
-.keymint .made{font-size:11px}
-.keymint .probe rect{stroke-dasharray:1.5 3}
-"""
-)
-
-
-def style_sheet(theme: Theme) -> str:
-    """Return the style sheet of a picture; renderers without media queries can read it, too."""
-    if theme is Theme.AUTO:
-        return f"{_SHAPES}{_colours(LIGHT)}@media (prefers-color-scheme:dark){{\n{_colours(DARK)}}}\n"
-    return _SHAPES + _colours(LIGHT if theme is Theme.LIGHT else DARK)
-
-
-def _colours(palette: Mapping[str, str]) -> str:
-    rules = [
-        f".keymint .background{{fill:{palette['background']}}}",
-        f".keymint text{{fill:{palette['text']}}}",
-        f".keymint .muted{{fill:{palette['muted']}}}",
-        f".keymint .rule{{stroke:{palette['rule']}}}",
-        f".keymint .audit{{fill:{palette['audit']};stroke:{palette['background']}}}",
-        f".keymint .neutral rect{{fill:{palette['background']};stroke:{palette['plain']}}}",
-    ]
-    for kind in KIND_NAMES:
-        rules.append(f".keymint .{kind} rect{{fill:{palette[f'{kind}-fill']};stroke:{palette[kind]}}}")
-        rules.append(f".keymint .{kind} .bullet{{fill:{palette[kind]}}}")
-    rules.append(f".keymint .stripe{{fill:{palette['rule']};fill-opacity:.3}}")
-    rules.append(f".keymint .hazard{{stroke:{palette['hazard']}}}")
-    rules.append(f".keymint .alarm path{{fill:{palette['danger']};stroke:{palette['background']}}}")
-    rules.append(f".keymint .alarm text{{fill:{palette['background']}}}")
-    for verdict in ("allow", "deny", "danger", "plain"):
-        rules.append(f".keymint .{verdict} .curve,.keymint .{verdict} .head{{stroke:{palette[verdict]}}}")
-        filled = palette["background"] if verdict == "deny" else palette[verdict]
-        rules.append(f".keymint .{verdict} .head,.keymint .sign.{verdict} rect{{fill:{filled}}}")
-        letter = palette["deny" if verdict == "deny" else "background"]
-        rules.append(f".keymint .sign.{verdict} rect,.keymint .sign.{verdict} .bar{{stroke:{palette[verdict]}}}")
-        rules.append(f".keymint .sign.{verdict} text{{fill:{letter}}}")
-    return "\n".join(rules) + "\n"
-
 
 def edge_classes(outcome: EdgeOutcome, *, labels: bool) -> str:
     """Return the style sheet classes of an edge; with ``labels`` of transports also ``true`` or ``false``."""

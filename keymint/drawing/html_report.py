@@ -20,12 +20,12 @@ from markupsafe import Markup
 from comarmor.errors import citation
 from comarmor.text import one_line
 from keymint.api.graph import DomainObject, EdgeOutcome
-from keymint.drawing.appearance import KINDS, OUTCOMES, Theme, object_name, style_sheet
+from keymint.drawing.appearance import KINDS, OUTCOMES, Theme, object_name
 from keymint.drawing.captions import left_out_words, size_words
 from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph
 from keymint.drawing.layout import NodeKey
 from keymint.drawing.simplify import EXPLICIT, DrawingOptions, LeftOut, priority, simplify
-from keymint.drawing.svg import draw, environment
+from keymint.drawing.svg import draw, environment, style_sheet
 
 MOST_ROWS = 10_000
 """Maximum number of edges in a report; false labels and explicit denials are listed beyond it. Next are allowed edges.

@@ -14,11 +14,16 @@ from typing import TYPE_CHECKING
 from comarmor.text import one_line
 from keymint.api.graph import EdgeOutcome
 from keymint.drawing.appearance import (
+    DARK,
+    FONTS,
     INWARD,
+    KIND_NAMES,
     KINDS,
+    LIGHT,
     OUTCOMES,
     OUTWARD,
     SIGNS,
+    Theme,
     columns,
     directions,
     edge_classes,
@@ -26,7 +31,6 @@ from keymint.drawing.appearance import (
     role,
     sentence,
     shorten,
-    style_sheet,
 )
 from keymint.drawing.captions import folded_name, marks_of, subtitle
 from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, namespace
@@ -86,6 +90,13 @@ def _breakable(name: str) -> Markup:
     from markupsafe import Markup  # noqa: PLC0415 - slow, only for pages
 
     return Markup("<wbr>").join(re.split("(?<=[^/_][/_])(?=[^/_])", name, flags=re.DOTALL))
+
+
+def style_sheet(theme: Theme) -> str:
+    """Return the style sheet of a picture; renderers without media queries can read it, too."""
+    palettes = {Theme.AUTO: (LIGHT, DARK), Theme.LIGHT: (LIGHT,), Theme.DARK: (DARK,)}[theme]
+    template = environment().get_template("picture.css.j2")
+    return template.render(fonts=FONTS, kinds=KIND_NAMES, palettes=palettes)
 
 
 def svg(labelled: LabelledGraph, options: DrawingOptions | None = None) -> bytes:
