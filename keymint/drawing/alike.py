@@ -46,7 +46,7 @@ class AlikeFold:
 
     Attributes:
         edges: the edges that remain, each with all edges that it stands for.
-        subjects: the subjects that remain, each with all that it stands for.
+        subjects: the subjects that remain, in natural order, each with all that it stands for.
         others: objects of another robot of a class than the subjects at their edges.
         classes: the classes of robots of which one remains.
     """
@@ -57,13 +57,19 @@ class AlikeFold:
     classes: tuple[Alike, ...]
 
 
-def fold_alike(edges: Sequence[LabelledEdge], subjects: Sequence[str]) -> AlikeFold:
-    """Return a graph of which one robot of each class is drawn; every edge stands for itself or for equal ones."""
+def fold_alike(edges: Sequence[LabelledEdge], subjects: Sequence[str], deepest: int = _DEEPEST) -> AlikeFold:
+    """Return a graph of which one robot of each class is drawn; every edge stands for itself or for equal ones.
+
+    Args:
+        edges: the edges.
+        subjects: the subjects.
+        deepest: levels of names at which robots are looked for.
+    """
     nodes = {name: LabelledEdge(Edge(name, "", Object("", ""))) for name in subjects}  # a subject: an edge to nothing
     drawn = {one: one for one in (*nodes.values(), *edges)}
     classes: list[Alike] = []
     others: set[LabelledEdge] = set()
-    for depth in range(1, _DEEPEST + 1):
+    for depth in range(1, deepest + 1):
         robots = sorted({_robot(name, depth) for name in subjects} - {""}, key=natural_order)
         if not robots:
             break
@@ -93,7 +99,8 @@ def fold_alike(edges: Sequence[LabelledEdge], subjects: Sequence[str]) -> AlikeF
         members[drawn[node].edge.subject].append(name)
     kept = tuple(each for each in classes if any(f"{name}/".startswith(f"{each.like}/") for name in members))
     another = frozenset(one.edge.domain_object for one in stands if one in others)
-    return AlikeFold(stands, {name: tuple(of_name) for name, of_name in members.items()}, another, kept)
+    names_of = {name: tuple(members[name]) for name in sorted(members, key=natural_order)}
+    return AlikeFold(stands, names_of, another, kept)
 
 
 def _robot(subject: str, depth: int) -> str:

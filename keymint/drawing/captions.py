@@ -4,17 +4,16 @@
 from __future__ import annotations
 
 import re
-from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import zip_longest
 
 from comarmor.text import first_few, one_line, quantity
-from keymint.api.graph import DomainObject, EdgeOutcome
+from keymint.api.graph import EdgeOutcome
 from keymint.drawing.alike import Alike
-from keymint.drawing.appearance import KINDS, SHORT_OUTCOMES
-from keymint.drawing.labelled_graph import LabelledGraph, namespace
+from keymint.drawing.appearance import KINDS, SHORT_OUTCOMES, object_name
+from keymint.drawing.labelled_graph import LabelledGraph, LeftOut, namespace
 from keymint.drawing.layout import NodeKey
-from keymint.drawing.simplify import LeftOut, SimplifiedGraph
+from keymint.drawing.simplify import SimplifiedGraph
 
 _MOST_RUNS = 8
 """Groups of robots, and parts of a group, that a caption names."""
@@ -58,11 +57,18 @@ def left_out_json(left_out: Mapping[LeftOut, int]) -> list[dict[str, object]]:
     return [{"outcome": one, "kind": kind, "edges": count} for (one, kind), count in sorted(left_out.items())]
 
 
-def folded_name(members: Sequence[DomainObject]) -> str:
-    """Return the label of folded objects: ``/talker/… (6 services)``."""
-    first = members[0][1]
-    noun = KINDS[first.kind]
-    return one_line(f"{namespace(first.name)}… ({len(members)} {noun}{'' if noun.endswith('s') else 's'})")
+def names_of(drawn: SimplifiedGraph) -> Mapping[NodeKey, str]:
+    """Return the names of all subjects and objects that are drawn: of folded objects ``/talker/… (6 services)``."""
+    names: dict[NodeKey, str] = {}
+    for key, members in drawn.members.items():
+        if isinstance(key, str):
+            names[key] = one_line(key)
+        elif len(members) > 1:
+            noun = KINDS[key[1].kind].removesuffix("s")
+            names[key] = one_line(f"{namespace(key[1].name)}… ({len(members)} {noun}s)")
+        else:
+            names[key] = object_name(key[1], key[0])
+    return names
 
 
 def size_words(labelled: LabelledGraph) -> str:
@@ -85,7 +91,7 @@ def subtitle(drawn: SimplifiedGraph) -> str:
     if labelled.unnamed:
         others = one_line(first_few(labelled.unnamed))
         notes.append(f"not drawn: rights of other subjects like {others} (--subject NAME draws one)")
-    largest = sorted(drawn.alike, key=lambda each: -len(each.names))
+    largest = sorted(drawn.fold.classes, key=lambda each: -len(each.names))
     notes += (f"{alike_words(each)}, equal up to the name, are drawn as one" for each in largest[:_MOST_RUNS])
     if len(largest) > _MOST_RUNS:
         notes.append(f"so are {len(largest) - _MOST_RUNS} smaller groups (--json has all names)")
@@ -104,14 +110,11 @@ def subtitle(drawn: SimplifiedGraph) -> str:
 
 def marks_of(drawn: SimplifiedGraph) -> Mapping[NodeKey, str]:
     """Return the second lines of boxes: how many robots they stand for, and how many common rules a subject has."""
-    marks: dict[NodeKey, list[str]] = defaultdict(list)
-    for subject, names in drawn.subjects.items():
-        marks[subject] += [f"{len(names)} alike"] * (len(names) > 1)
-        marks[subject] += [f"+{len(common)} common" for common in [drawn.marks.get(subject)] if common]
-    for key in drawn.members:
-        count = len(drawn.copies[key])
-        if key in drawn.others:
-            marks[key].append(f"{count} alike, of every other robot")
-        elif count > 1:
-            marks[key].append(f"{count} alike")
-    return {key: ", ".join(words) for key, words in marks.items() if words}
+    marks = {}
+    for key, members in drawn.members.items():
+        count, other, common = len(members[0]), key in drawn.fold.others, len(drawn.marks.get(key, ()))
+        words = [f"{count} alike" + ", of every other robot" * other] * (other or count > 1)
+        words += [f"+{common} common"] * (common > 0)
+        if words:
+            marks[key] = ", ".join(words)
+    return marks

@@ -10,7 +10,7 @@ from __future__ import annotations
 import base64
 import hashlib
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib import resources
 from typing import Any
@@ -24,7 +24,7 @@ from keymint.drawing.appearance import KINDS, OUTCOMES, Theme, object_name
 from keymint.drawing.captions import left_out_words, size_words
 from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph
 from keymint.drawing.layout import NodeKey
-from keymint.drawing.simplify import EXPLICIT, DrawingOptions, LeftOut, priority, simplify
+from keymint.drawing.simplify import EXPLICIT, DrawingOptions, priority, simplify
 from keymint.drawing.svg import draw, environment, style_sheet
 
 MOST_ROWS = 10_000
@@ -45,10 +45,8 @@ def html_report(labelled: LabelledGraph, sources: Mapping[str, bytes], picture: 
     style = _text("report.css") + style_sheet(Theme.AUTO)
     script = _text("report.js")
     rows = page.rows()
-    missing = unlisted_edges(labelled)
-    counts = Counter(labelled.counts)
-    for (outcome, _), count in labelled.omitted.items():
-        counts[outcome] += count
+    counts = labelled.counts
+    missing = labelled.left_out(listed_edges(labelled))
     context = {
         "title": one_line(labelled.title),
         "style": Markup(style),  # noqa: S704 - ours
@@ -58,9 +56,9 @@ def html_report(labelled: LabelledGraph, sources: Mapping[str, bytes], picture: 
         "size": size_words(labelled),
         "made": [one_line(text) for text in labelled.made],
         "verdicts": [
-            {"value": outcome, "words": words, "count": counts[outcome]}
+            {"value": outcome, "words": words, "count": count}
             for outcome, words in OUTCOMES.items()
-            if counts[outcome]
+            if (count := counts[outcome])
         ],
         "transports": page.transports,
         "has_policy": any(one.policy for one in labelled.edges),
@@ -98,15 +96,6 @@ def listed_edges(labelled: LabelledGraph) -> Sequence[LabelledEdge]:
     """Return the edges that a report lists, the most important ones first."""
     needed = sum(priority(one) <= EXPLICIT for one in labelled.edges)
     return sorted(labelled.edges, key=priority)[: max(MOST_ROWS, needed)]
-
-
-def unlisted_edges(labelled: LabelledGraph) -> Mapping[LeftOut, int]:
-    """Return the number of edges that a report does not list, by outcome and kind."""
-
-    def counted(edges: Iterable[LabelledEdge]) -> Counter[LeftOut]:
-        return Counter((one.outcome(), one.edge.object.kind) for one in edges)
-
-    return counted(labelled.edges) - counted(listed_edges(labelled)) + Counter(labelled.omitted)
 
 
 class _Page:

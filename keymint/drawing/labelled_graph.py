@@ -83,6 +83,10 @@ def _plain(allowed: bool) -> EdgeOutcome:
     return EdgeOutcome.ALLOW if allowed else EdgeOutcome.DENY
 
 
+LeftOut = tuple[EdgeOutcome, str]
+"""What an edge that is not drawn is counted by: its outcome, and the kind of its object."""
+
+
 @dataclass(frozen=True, slots=True)
 class LabelledGraph:
     """A graph with labels.
@@ -107,7 +111,7 @@ class LabelledGraph:
     transports: tuple[str, ...] = ()
     patterns: frozenset[Object] = frozenset()
     confusions: tuple[ConfusionMatrix, ...] = ()
-    omitted: Mapping[tuple[EdgeOutcome, str], int] = field(default_factory=dict)
+    omitted: Mapping[LeftOut, int] = field(default_factory=dict)
     endpoints: int = 0
     probes: frozenset[Object] = frozenset()
     unnamed: tuple[str, ...] = ()
@@ -135,8 +139,17 @@ class LabelledGraph:
 
     @property
     def counts(self) -> Mapping[EdgeOutcome, int]:
-        """Number of edges by outcome."""
-        return Counter(labelled.outcome() for labelled in self.edges)
+        """Number of all edges by outcome."""
+        counts = Counter(labelled.outcome() for labelled in self.edges)
+        for (outcome, _), count in self.omitted.items():
+            counts[outcome] += count
+        return counts
+
+    def left_out(self, kept: Iterable[LabelledEdge], transport: int | None = None) -> Mapping[LeftOut, int]:
+        """Return how many edges are not among these, by outcome and kind; also those that this graph does not keep."""
+        gone = {*self.edges}.difference(kept)
+        counts = Counter((one.outcome(transport), one.edge.object.kind) for one in gone)
+        return counts + Counter(self.omitted)
 
     def confusion(self, transport: int) -> ConfusionMatrix:
         """Return the confusion matrix of a transport, over the edges that both it and the policy labelled."""

@@ -14,10 +14,10 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import accumulate
 
-from comarmor.text import natural_order, one_line
+from comarmor.text import natural_order
 from comarmor.values import dataclass
 from keymint.api.graph import DomainObject
-from keymint.drawing.appearance import KINDS, columns, object_name, shorten
+from keymint.drawing.appearance import KINDS, columns, shorten
 from keymint.drawing.labelled_graph import LabelledEdge
 
 CHARACTER = 7.3
@@ -120,7 +120,7 @@ def lay_out(
     heading: str,
     edges: Sequence[LabelledEdge],
     subjects: Sequence[str],
-    names: Mapping[DomainObject, str],
+    names: Mapping[NodeKey, str],
     marks: Mapping[NodeKey, str],
 ) -> Panel:
     """Return the layout of a graph.
@@ -132,7 +132,7 @@ def lay_out(
         heading: heading of the panel; may be empty.
         edges: its edges.
         subjects: its subjects, including those without an edge.
-        names: labels of objects that replace their names.
+        names: of its subjects and objects.
         marks: a second line of text for some subjects and objects.
     """
     objects = objects_in_order(edges)
@@ -157,8 +157,7 @@ def lay_out(
     }
     tops = _tops(stacks, heights, beside)
 
-    labels: dict[NodeKey, str] = {subject: shorten(one_line(subject)) for subject in subjects}
-    labels |= {key: shorten(names.get(key) or object_name(key[1], key[0])) for key in objects}
+    labels = {key: shorten(names[key]) for key in column_of}
     gap = min(_WIDEST, max(_NARROWEST, 60.0 + 8.0 * len(edges) ** 0.75))
     boxes: dict[NodeKey, NodeBox] = {}
     x = 0.0

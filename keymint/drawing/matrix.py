@@ -9,11 +9,10 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 
-from comarmor.text import one_line
 from keymint.api.graph import DomainObject
-from keymint.drawing.appearance import columns, object_name, shorten
+from keymint.drawing.appearance import columns, shorten
 from keymint.drawing.labelled_graph import LabelledEdge
-from keymint.drawing.layout import CHARACTER, NodeBox, Panel, Sign, objects_in_order
+from keymint.drawing.layout import CHARACTER, NodeBox, NodeKey, Panel, Sign, objects_in_order
 
 ROW = 22.0
 """Height of a row, in pixels."""
@@ -35,8 +34,8 @@ def lay_out_matrix(
     heading: str,
     edges: Sequence[LabelledEdge],
     subjects: Sequence[str],
-    names: Mapping[DomainObject, str],
-    marks: Mapping[str | DomainObject, str],
+    names: Mapping[NodeKey, str],
+    marks: Mapping[NodeKey, str],
 ) -> Panel:
     """Return the layout of a matrix; for the arguments see :func:`keymint.drawing.layout.lay_out`."""
     objects = objects_in_order(edges)
@@ -44,13 +43,13 @@ def lay_out_matrix(
     for one in edges:
         cells[one.edge.subject, one.edge.domain_object].append(one)
 
-    def label(text: str, key: str | DomainObject) -> str:
-        return shorten(text) + (f" ({mark})" if (mark := marks.get(key)) else "")
+    def label(key: NodeKey) -> str:
+        return shorten(names[key]) + (f" ({mark})" if (mark := marks.get(key)) else "")
 
-    above = {subject: label(one_line(subject), subject) for subject in subjects}
-    beside = {key: label(names.get(key) or object_name(key[1], key[0]), key) for key in objects}
-    left = max((columns(text) for text in beside.values()), default=0) * CHARACTER + 2 * _PADDING + _BULLET
-    top = max((columns(text) for text in above.values()), default=0) * CHARACTER + 2 * _PADDING
+    above = {subject: label(subject) for subject in subjects}
+    beside = {key: label(key) for key in objects}
+    left = max(map(columns, beside.values()), default=0) * CHARACTER + 2 * _PADDING + _BULLET
+    top = max(map(columns, above.values()), default=0) * CHARACTER + 2 * _PADDING
     width = max(ROW, SIGN * max(map(len, cells.values()), default=1) + 3)
     boxes = [
         NodeBox(subject, "subject", text, left + at * width + 1, 0.0, width - 2, top - 2)

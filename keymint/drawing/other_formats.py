@@ -12,17 +12,12 @@ from dataclasses import replace
 from comarmor.text import one_line
 from keymint.api.graph import EdgeOutcome
 from keymint.api.plugin_loader import how_to_add
-from keymint.drawing.appearance import FONTS, LIGHT, directions, edge_classes, object_name, sentence
-from keymint.drawing.captions import folded_name, marks_of, subtitle
+from keymint.drawing.appearance import FONTS, LIGHT, directions, edge_classes, sentence
+from keymint.drawing.captions import marks_of, names_of, subtitle
 from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph
 from keymint.drawing.layout import NodeKey
 from keymint.drawing.simplify import DrawingOptions, SimplifiedGraph, simplify
 from keymint.errors import KeymintError
-
-
-def dot(labelled: LabelledGraph, options: DrawingOptions | None = None) -> bytes:
-    """Return a graph as a DOT document in UTF-8; ``dot -Tsvg`` draws it. Options as for :func:`dot_simplified`."""
-    return dot_document(dot_simplified(labelled, options or DrawingOptions()))
 
 
 def dot_simplified(labelled: LabelledGraph, options: DrawingOptions) -> SimplifiedGraph:
@@ -32,29 +27,27 @@ def dot_simplified(labelled: LabelledGraph, options: DrawingOptions) -> Simplifi
 
 def dot_document(drawn: SimplifiedGraph) -> bytes:
     """Return a DOT document in UTF-8 with what :func:`dot_simplified` returns."""
-    labelled, options, edges = drawn.labelled, drawn.options, drawn.edges
-    marks = marks_of(drawn)
-    names = {key: folded_name(members) for key, members in drawn.members.items() if len(members) > 1}
+    labelled, options, edges = drawn.labelled, drawn.options, drawn.stands
+    names, marks = names_of(drawn), marks_of(drawn)
     named = labelled.patterns | labelled.probes
     caption = "\n".join((labelled.title, subtitle(drawn).replace("; ", "\n"), *labelled.made))
-    objects = {key: f"o{at}" for at, key in enumerate(sorted({one.edge.domain_object for one in edges}))}
-    subjects = {subject: f"s{at}" for at, subject in enumerate(drawn.subjects)}
+    nodes: dict[NodeKey, str] = {subject: f"s{at}" for at, subject in enumerate(drawn.fold.subjects)}
+    nodes |= {key: f"o{at}" for at, key in enumerate(sorted({one.edge.domain_object for one in edges}))}
 
-    def node(key: NodeKey, kind: str, name: str, *, dashed: bool = False) -> str:
-        return _node(kind, name + (f" ({marks[key]})" if key in marks else ""), dashed=dashed)
+    def node(key: NodeKey) -> str:
+        kind = "subject" if isinstance(key, str) else key[1].kind
+        label = _quoted(names[key] + (f" ({marks[key]})" if key in marks else ""))
+        shape = "ellipse" if kind == "subject" else "box"
+        style = ', style="filled,dashed"' if not isinstance(key, str) and key[1] in named else ""
+        return f'label={label}, shape={shape}, fillcolor="{LIGHT[f"{kind}-fill"]}", color="{LIGHT[kind]}"{style}'
 
     lines = [
         "digraph keymint {",
         f"  graph [rankdir=LR, label={_quoted_lines(caption)}, labelloc=t, fontname=monospace]",
         "  node [style=filled, fontname=monospace]",
-        *(f"  {at} [{node(name, 'subject', one_line(name))}]" for name, at in subjects.items()),
+        *(f"  {at} [{node(key)}]" for key, at in nodes.items()),
         *(
-            f"  {at} [{node(key, key[1].kind, names.get(key) or object_name(key[1], key[0]), dashed=key[1] in named)}]"
-            for key, at in objects.items()
-        ),
-        *(
-            f"  {subjects[one.edge.subject]} -> {objects[one.edge.domain_object]} "
-            f"[{_attributes(one, labelled, options)}]"
+            f"  {nodes[one.edge.subject]} -> {nodes[one.edge.domain_object]} [{_attributes(one, labelled, options)}]"
             for one in edges
         ),
         "}",
@@ -69,13 +62,6 @@ def _quoted(text: str) -> str:
 
 def _quoted_lines(text: str) -> str:
     return '"' + r"\n".join(_quoted(line)[1:-1] for line in text.split("\n")) + '"'
-
-
-def _node(kind: str, label: str, *, dashed: bool = False) -> str:
-    shape = "ellipse" if kind == "subject" else "box"
-    colours = f'fillcolor="{LIGHT[f"{kind}-fill"]}", color="{LIGHT[kind]}"'
-    style = ', style="filled,dashed"' if dashed else ""
-    return f"label={_quoted(label)}, shape={shape}, {colours}{style}"
 
 
 def _attributes(one: LabelledEdge, labelled: LabelledGraph, options: DrawingOptions) -> str:

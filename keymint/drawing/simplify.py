@@ -8,18 +8,18 @@ limit edges are left out, never false positives or what a rule denies explicitly
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from enum import StrEnum
-from itertools import islice
+from itertools import chain, islice
 
 from comarmor.rules import PARTS
-from comarmor.text import natural_order
 from comarmor.values import dataclass
 from keymint.api.graph import DomainObject, Edge, EdgeOutcome, Object
-from keymint.drawing.alike import Alike, AlikeFold, fold_alike
+from keymint.drawing.alike import AlikeFold, fold_alike
 from keymint.drawing.appearance import Theme
-from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, namespace
+from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, LeftOut, namespace
+from keymint.drawing.layout import NodeKey
 
 FOLD_FROM = 40
 """Objects from which on a graph's objects are folded by default."""
@@ -30,8 +30,11 @@ MOST_LINES = 600
 MOST_SIGNS = 20_000
 """Edges in matrices, about 300 bytes each."""
 
-LeftOut = tuple[EdgeOutcome, str]
-"""What an edge that is not drawn is counted by: its outcome, and the kind of its object."""
+_Stands = Mapping[LabelledEdge, Sequence[LabelledEdge]]
+"""Edges, each with all edges that it stands for."""
+Members = tuple[tuple[NodeKey, ...], ...]
+"""A subject, or objects with the same edges that are drawn as one, each with the same one of all robots that are alike.
+"""
 
 
 class Split(StrEnum):
@@ -75,115 +78,84 @@ class SimplifiedGraph:
     Attributes:
         labelled: the graph.
         options: drawing options.
-        edges: the lines, or signs of a matrix, sorted.
-        stands: all edges that each of them stands for.
-        subjects: the subjects that are drawn, each with those that it stands for.
-        alike: robots of which one is drawn.
-        others: objects of another robot than the subjects at their edges.
-        marks: the common edges that are not drawn, by subject.
-        members: the objects of each drawn object.
-        copies: what a drawn object stands for, besides itself the same object of robots that are alike.
+        stands: the lines, or signs of a matrix, sorted, each with all edges that it stands for.
+        fold: robots of which one is drawn, and the subjects.
+        marks: the common edges that are not drawn, by subject, each with all that it stands for.
+        members: what each drawn subject and object stands for.
         matrices: whether the edges are drawn as matrices.
         left_out: number of edges that are not drawn, by outcome and kind of their object.
     """
 
     labelled: LabelledGraph
     options: DrawingOptions
-    edges: tuple[LabelledEdge, ...]
-    stands: Mapping[LabelledEdge, Sequence[LabelledEdge]]
-    subjects: Mapping[str, tuple[str, ...]]
-    alike: tuple[Alike, ...]
-    others: frozenset[DomainObject]
-    marks: Mapping[str, Sequence[LabelledEdge]]
-    members: Mapping[DomainObject, tuple[DomainObject, ...]]
-    copies: Mapping[DomainObject, tuple[DomainObject, ...]]
+    stands: _Stands
+    fold: AlikeFold
+    marks: Mapping[NodeKey, _Stands]
+    members: Mapping[NodeKey, Members]
     matrices: bool
     left_out: Mapping[LeftOut, int]
 
     @property
     def folded(self) -> int:
         """Number of edges that have no line of their own, because a line or mark stands for them."""
-        return self.labelled.total - len(self.edges) - sum(self.left_out.values())
-
-
-_Stands = dict[LabelledEdge, list[LabelledEdge]]
-"""Edges, each with all edges that it stands for."""
+        return self.labelled.total - len(self.stands) - sum(self.left_out.values())
 
 
 def simplify(labelled: LabelledGraph, options: DrawingOptions) -> SimplifiedGraph:
     """Return the part of a graph that is drawn. Each edge is drawn, or another stands for it, or it is counted."""
-    edges, left = labelled.edges, list[LabelledEdge]()
+    edges = labelled.edges
     if not options.denials and len(edges) > MOST_LINES:
-        left += (one for one in edges if priority(one, options.transport) == _DEFAULT_DENIAL)
         edges = tuple(one for one in edges if priority(one, options.transport) < _DEFAULT_DENIAL)
-    folded = AlikeFold({one: [one] for one in edges}, {name: (name,) for name in labelled.subjects}, frozenset(), ())
-    stands, marked = _without_marked(_without_parts(folded.edges), options)
+    folded = fold_alike(edges, labelled.subjects, deepest=0)
+    stands, marks = _reduced(folded.edges, options)
     single = options.split is Split.NONE
     large = len(stands) > (options.limit or MOST_LINES) or (single and len(labelled.subjects) > GROUP_FROM)
     if options.fold or (options.fold is None and large):
         folded = fold_alike(edges, labelled.subjects)
-        stands, marked = _without_marked(_without_parts(folded.edges), options)
-    copies = _copies(folded.edges)
-    members: dict[DomainObject, tuple[DomainObject, ...]] = {
-        key: (key,) for key in {one.edge.domain_object for one in stands}
+        stands, marks = _reduced(folded.edges, options)
+    copies: dict[DomainObject, dict[DomainObject, None]] = defaultdict(dict)
+    for one, those in folded.edges.items():
+        copies[one.edge.domain_object].update(dict.fromkeys(each.edge.domain_object for each in those))
+    members: dict[NodeKey, Members] = {
+        one.edge.domain_object: (tuple(copies[one.edge.domain_object]),) for one in stands
     }
     if options.fold or (options.fold is None and len(members) >= FOLD_FROM):
-        stands, members = _fold(stands, copies, labelled.patterns | labelled.probes)
+        stands, members = _fold(stands, members, labelled.patterns | labelled.probes)
     lines = sorted(stands, key=lambda one: one.edge)
     many = options.limit is None and len(lines) > MOST_LINES
     crowded = many or (single and len(folded.subjects) > GROUP_FROM)
     matrices = crowded if options.group is None else options.group
-    shown = shown_edges(lines, options, matrices=matrices)
-    kept = frozenset(shown)
-    left += (one for line in lines if line not in kept for one in stands[line])
-    marks: dict[str, list[LabelledEdge]] = defaultdict(list)
-    for one in marked:
-        marks[one.edge.subject].append(one)
-    left_out = Counter((one.outcome(options.transport), one.edge.object.kind) for one in left)
-    stands = {one: stands[one] for one in shown}
-    subjects = {name: folded.subjects[name] for name in sorted(folded.subjects, key=natural_order)}
-    parts = (subjects, folded.classes, folded.others, marks, members, copies, matrices)
-    return SimplifiedGraph(labelled, options, shown, stands, *parts, left_out + Counter(labelled.omitted))
+    shown = {one: stands[one] for one in shown_edges(lines, options, matrices=matrices)}
+    kept = chain.from_iterable(each.values() for each in (shown, *marks.values()))
+    left_out = labelled.left_out(chain.from_iterable(kept), options.transport)
+    members |= {name: (names,) for name, names in folded.subjects.items()}
+    return SimplifiedGraph(labelled, options, shown, folded, marks, members, matrices, left_out)
 
 
-# -- edges that another stands for -----------------------------------------------------------------------------------
+def _reduced(stands: _Stands, options: DrawingOptions) -> tuple[_Stands, Mapping[NodeKey, _Stands]]:
+    """Return the edges without what others stand for, and by subject the edges that a mark stands for.
 
-
-def _without_parts(stands: Mapping[LabelledEdge, Sequence[LabelledEdge]]) -> _Stands:
-    """Return the edges without services and topics of actions and parameters that a subject may use as a whole."""
+    Services and topics of an action or of parameters that a subject may use as a whole are no edges. A mark stands for
+    what a common rule allows, if the transport does, too.
+    """
     whole_of: dict[tuple[Edge, object], LabelledEdge] = {}
     for one in stands:
         edge = one.edge
         for kind, permission, suffix in PARTS.get((edge.object.kind, edge.permission), ()):
             part = Edge(edge.subject, permission, Object(kind, edge.object.name + suffix), edge.domain)
             whole_of[part, one.judged] = one
-    found: _Stands = defaultdict(list)
+    lines: dict[LabelledEdge, list[LabelledEdge]] = defaultdict(list)
+    marks: dict[NodeKey, dict[LabelledEdge, list[LabelledEdge]]] = defaultdict(lambda: defaultdict(list))
     for one, those in stands.items():
-        found[whole_of.get((one.edge, one.judged), one)] += those
-    return dict(found)
-
-
-def _without_marked(stands: _Stands, options: DrawingOptions) -> tuple[_Stands, tuple[LabelledEdge, ...]]:
-    """Return the edges, and those that a mark stands for: a common rule allows them, and so does the transport."""
-    common = (one for one in stands if one.common and not options.common)
-    marked = dict.fromkeys(one for one in common if one.outcome(options.transport) is EdgeOutcome.ALLOW)
-    return {one: those for one, those in stands.items() if one not in marked}, tuple(marked)
-
-
-def _copies(stands: Mapping[LabelledEdge, Sequence[LabelledEdge]]) -> Mapping[DomainObject, tuple[DomainObject, ...]]:
-    """Return the objects that the object of each edge stands for."""
-    copies: dict[DomainObject, dict[DomainObject, None]] = defaultdict(dict)
-    for one, those in stands.items():
-        copies[one.edge.domain_object].update(dict.fromkeys(each.edge.domain_object for each in those))
-    return {key: tuple(each) for key, each in copies.items()}
-
-
-# -- folded objects --------------------------------------------------------------------------------------------------
+        whole = whole_of.get((one.edge, one.judged), one)
+        common = whole.common and not options.common and whole.outcome(options.transport) is EdgeOutcome.ALLOW
+        (marks[one.edge.subject] if common else lines)[whole] += those
+    return lines, marks
 
 
 def _fold(
-    stands: _Stands, copies: Mapping[DomainObject, Sequence[DomainObject]], unreal: Collection[Object]
-) -> tuple[_Stands, dict[DomainObject, tuple[DomainObject, ...]]]:
+    stands: _Stands, members: Mapping[NodeKey, Members], unreal: Collection[Object]
+) -> tuple[_Stands, dict[NodeKey, Members]]:
     """Fold objects of one kind and namespace whose edges have the same subjects, permissions and labels.
 
     Returns:
@@ -193,27 +165,19 @@ def _fold(
     for one in stands:
         signatures[one.edge.domain_object].add((one.edge.subject, one.edge.permission, one.judged))
     folds: dict[object, list[DomainObject]] = defaultdict(list)
-    for (domain, object_), signature in signatures.items():
-        place = (
-            domain,
-            object_.kind,
-            namespace(object_.name),
-            object_.partitions,
-            object_ in unreal,
-            len(copies[domain, object_]),
-        )
-        folds[(*place, frozenset(signature))].append((domain, object_))
+    for key, signature in signatures.items():
+        domain, object_ = key
+        place = (domain, object_.kind, namespace(object_.name), object_.partitions)
+        folds[place, object_ in unreal, len(members[key][0]), frozenset(signature)].append(key)
     first_of = {key: min(fold) for fold in folds.values() for key in fold}
-    drawn = {
-        (one.edge.subject, one.edge.permission, one.edge.domain_object, one.judged): one
-        for one in stands
-        if first_of[one.edge.domain_object] == one.edge.domain_object
+    alike: dict[object, list[LabelledEdge]] = defaultdict(list)
+    for one in stands:
+        alike[one.edge.subject, one.edge.permission, first_of[one.edge.domain_object], one.judged].append(one)
+    found = {
+        min(those, key=lambda one: one.edge): [*chain.from_iterable(stands[one] for one in those)]
+        for those in alike.values()
     }
-    found: _Stands = defaultdict(list)
-    for one, those in stands.items():
-        first = first_of[one.edge.domain_object]
-        found[drawn[one.edge.subject, one.edge.permission, first, one.judged]] += those
-    return dict(found), {min(fold): tuple(sorted(fold)) for fold in folds.values()}
+    return found, {min(fold): tuple(members[key][0] for key in sorted(fold)) for fold in folds.values()}
 
 
 # -- left out edges --------------------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ import textwrap
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache
+from itertools import chain
 from typing import TYPE_CHECKING
 
 from comarmor.text import one_line
@@ -32,11 +33,11 @@ from keymint.drawing.appearance import (
     sentence,
     shorten,
 )
-from keymint.drawing.captions import folded_name, marks_of, subtitle
+from keymint.drawing.captions import marks_of, names_of, subtitle
 from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, namespace
 from keymint.drawing.layout import CHARACTER, EdgeLine, NodeBox, NodeKey, Panel, Sign, lay_out
 from keymint.drawing.matrix import lay_out_matrix, matrix_parts
-from keymint.drawing.simplify import DrawingOptions, SimplifiedGraph, Split, priority, simplify
+from keymint.drawing.simplify import DrawingOptions, Members, SimplifiedGraph, Split, priority, simplify
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -112,8 +113,7 @@ def svg(labelled: LabelledGraph, options: DrawingOptions | None = None) -> bytes
 def draw(drawn: SimplifiedGraph, number: NodeNumber | None = None) -> str:
     """Return a picture as a document, or as an element to embed in a page that has the style sheet."""
     labelled, options = drawn.labelled, drawn.options
-    names = {key: folded_name(members) for key, members in drawn.members.items() if len(members) > 1}
-    marks = marks_of(drawn)
+    names, marks = names_of(drawn), marks_of(drawn)
     lay = lay_out_matrix if drawn.matrices else lay_out
     panels = [lay(*part, names, marks) for part in _parts(drawn)]
     width = max((_LEAST_WIDTH, *(panel.width for panel in panels)))
@@ -169,13 +169,13 @@ def draw(drawn: SimplifiedGraph, number: NodeNumber | None = None) -> str:
 def _parts(drawn: SimplifiedGraph) -> Iterator[tuple[str, tuple[LabelledEdge, ...], tuple[str, ...]]]:
     split = drawn.options.split
     if split is Split.NONE and not drawn.matrices:
-        yield "", drawn.edges, tuple(drawn.subjects)
+        yield "", tuple(drawn.stands), tuple(drawn.fold.subjects)
         return
     members: dict[str, list[str]] = defaultdict(list)
-    for subject in drawn.subjects:
+    for subject in drawn.fold.subjects:
         members[subject if split is Split.SUBJECT else namespace(subject)].append(subject)
     edges: dict[str, list[LabelledEdge]] = defaultdict(list)
-    for one in drawn.edges:
+    for one in drawn.stands:
         edges[one.edge.subject].append(one)
     for part, every in members.items():
         for heading, subjects in matrix_parts(one_line(part), every) if drawn.matrices else [(one_line(part), every)]:
@@ -203,30 +203,23 @@ def _in_rows(
 
 def _box(box: NodeBox, drawn: SimplifiedGraph, number: NodeNumber | None) -> dict[str, object]:
     key, labelled = box.key, drawn.labelled
-    members = _members(key, drawn)
+    members = [*chain.from_iterable(drawn.members[key])]
     shown = [one_line(one) if isinstance(one, str) else object_name(one[1], one[0]) for one in members[:_MOST_NAMES]]
     title = "\n".join(shown) + (f"\nand {len(members) - len(shown)} more" if len(members) > len(shown) else "")
     if not isinstance(key, str) and len(members) == 1:
         title += f" ({KINDS[box.kind]})"
     pattern = not isinstance(key, str) and key[1] in labelled.patterns
     probe = not isinstance(key, str) and key[1] in labelled.probes
-    alike = len(drawn.subjects[key] if isinstance(key, str) else drawn.copies[key]) > 1
-    common = [sentence(one, labelled.transports) for one in drawn.marks.get(key, ())] if isinstance(key, str) else []
+    alike = len(drawn.members[key][0]) > 1
+    common = [sentence(one, labelled.transports) for one in drawn.marks.get(key, ())]
     return {
         "box": box,
         "classes": f"box {box.kind}" + " pattern" * pattern + " probe" * probe + " alike" * alike,
         "title": title + ", an expression of the policy" * pattern + ", a name made up to probe a pattern" * probe,
         "mark_title": "\n".join(common),
         "number": number(members[0]) if number else None,
-        "numbers": _numbers(members, number),
+        "numbers": _numbers(drawn.members[key], number),
     }
-
-
-def _members(key: NodeKey, drawn: SimplifiedGraph) -> Sequence[NodeKey]:
-    """Return all subjects or objects that a box stands for."""
-    if isinstance(key, str):
-        return drawn.subjects[key]
-    return tuple(one for member in drawn.members[key] for one in drawn.copies[member])
 
 
 def _edge(one: LabelledEdge, drawn: SimplifiedGraph, number: NodeNumber | None) -> dict[str, object]:
@@ -239,8 +232,8 @@ def _edge(one: LabelledEdge, drawn: SimplifiedGraph, number: NodeNumber | None) 
         "title": sentence(one, transports) + (f", and {more} more that it stands for" if more else ""),
         "audit": one.audit,
         "danger": outcome is EdgeOutcome.FALSE_POSITIVE,
-        "subject": _numbers(_members(one.edge.subject, drawn), number),
-        "object": _numbers(_members(one.edge.domain_object, drawn), number),
+        "subject": _numbers(drawn.members[one.edge.subject], number),
+        "object": _numbers(drawn.members[one.edge.domain_object], number),
     }
 
 
@@ -278,9 +271,9 @@ def _line(line: EdgeLine, drawn: SimplifiedGraph, number: NodeNumber | None) -> 
     }
 
 
-def _numbers(keys: Sequence[NodeKey], number: NodeNumber | None) -> str | None:
+def _numbers(members: Members, number: NodeNumber | None) -> str | None:
     """Return the page's numbers of the members of a box."""
-    return " ".join(str(number(key)) for key in keys) if number else None
+    return " ".join(str(number(key)) for key in chain.from_iterable(members)) if number else None
 
 
 def _head(x: float, y: float, size: float, *, barred: bool) -> str:
@@ -309,21 +302,21 @@ def legend(drawn: SimplifiedGraph, panels: Sequence[Panel]) -> Iterator[LegendEn
     kinds = {box.kind for panel in panels for box in panel.boxes}
     yield ("subject", "subject", "box")
     yield from ((name, kind, "box") for kind, name in KINDS.items() if kind in kinds)
-    if any(one.edge.object in drawn.labelled.patterns for one in drawn.edges):
+    if any(one.edge.object in drawn.labelled.patterns for one in drawn.stands):
         yield ("expression", "pattern neutral", "box")
-    if any(one.edge.object in drawn.labelled.probes for one in drawn.edges):
+    if any(one.edge.object in drawn.labelled.probes for one in drawn.stands):
         yield ("name made up to probe a pattern", "probe neutral", "box")
     yield from _legend_of_edges(drawn)
-    if any(one.audit for one in drawn.edges):
+    if any(one.audit for one in drawn.stands):
         yield ("AUDIT rule", "audited", "dot")
     if drawn.marks:
         yield ("what every node may do (--common draws it)", "muted", "+N")
-    if drawn.alike:
+    if drawn.fold.classes:
         yield ("alike: equal up to the name, one is drawn", "muted", "N")
 
 
 def _legend_of_edges(drawn: SimplifiedGraph) -> Iterator[LegendEntry]:
-    roles = {role(one.edge.permission) for one in drawn.edges}
+    roles = {role(one.edge.permission) for one in drawn.stands}
     spelled = {name: f"{SIGNS[name]} {name}" if drawn.matrices else name for name in SIGNS}
     for target, directed in (("object", OUTWARD), ("subject", INWARD)):
         named = [spelled[name] for name in directed if name in roles and name != "relay"]
@@ -331,7 +324,7 @@ def _legend_of_edges(drawn: SimplifiedGraph) -> Iterator[LegendEntry]:
             yield (f"to the {target}: {', '.join(named)}", "plain", "arrow")
     if "relay" in roles:
         yield (f"both ways: {spelled['relay']}", "plain", "both")
-    outcomes = {one.outcome(drawn.options.transport) for one in drawn.edges}
+    outcomes = {one.outcome(drawn.options.transport) for one in drawn.stands}
     labels = bool(drawn.labelled.transports)
     compared = {EdgeOutcome.ALLOW: " (true positive)", EdgeOutcome.DENY: " (true negative)"} if labels else {}
     for outcome in (EdgeOutcome.ALLOW, EdgeOutcome.DENY, EdgeOutcome.FALSE_POSITIVE, EdgeOutcome.FALSE_NEGATIVE):

@@ -281,7 +281,7 @@ def write_report(run: Run, folder: Path, labelled: LabelledGraph) -> tuple[list[
         KeymintError: a file cannot be replaced.
     """
     # Templates are slow to import.
-    from keymint.drawing.html_report import html_report, unlisted_edges  # noqa: PLC0415
+    from keymint.drawing.html_report import html_report, listed_edges  # noqa: PLC0415
     from keymint.drawing.svg import svg  # noqa: PLC0415
 
     # Probes make very many denials that no rule has; the page lists them.
@@ -292,4 +292,4 @@ def write_report(run: Run, folder: Path, labelled: LabelledGraph) -> tuple[list[
     # Written even without mismatches, to replace the picture of an earlier run.
     pictures["differences.svg"] = svg(select_edges(labelled, only=MISMATCHES))
     page = html_report(labelled, source_files(run, labelled), options)
-    return write_outputs(run, folder / _PAGE, page, pictures), left_out_json(unlisted_edges(labelled))
+    return write_outputs(run, folder / _PAGE, page, pictures), left_out_json(labelled.left_out(listed_edges(labelled)))

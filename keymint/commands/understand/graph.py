@@ -37,12 +37,13 @@ from keymint.drawing.labelled_graph import (
     DrawnPolicy,
     LabelledEdge,
     LabelledGraph,
+    LeftOut,
     choose_subjects,
     label_graph,
     policy_graph,
     select_edges,
 )
-from keymint.drawing.simplify import DrawingOptions, LeftOut, Split, simplify
+from keymint.drawing.simplify import DrawingOptions, Split, simplify
 from keymint.errors import ExitCode, KeymintError, usage_error
 from keymint.workspace.policy_loading import load_policy
 from keymint.workspace.session import Session
@@ -207,17 +208,17 @@ def _drawn(
 ) -> tuple[bytes, Mapping[LeftOut, int], Mapping[str, Any]]:
     """Return a picture, how many edges are not in it, and how the others are."""
     # Templates are slow to import, and no other verb needs them.
-    from keymint.drawing.html_report import html_report, unlisted_edges  # noqa: PLC0415
+    from keymint.drawing.html_report import html_report, listed_edges  # noqa: PLC0415
     from keymint.drawing.other_formats import dot_document, dot_simplified, png  # noqa: PLC0415
     from keymint.drawing.svg import draw  # noqa: PLC0415
 
     if kind == "html":
-        left_out = unlisted_edges(labelled)
+        left_out = labelled.left_out(listed_edges(labelled))
         counts = {"drawn": labelled.total - sum(left_out.values()), "folded": 0, "alike": []}
         return html_report(labelled, source_files(run, labelled), options), left_out, counts
     drawn = dot_simplified(labelled, options) if kind == "dot" else simplify(labelled, options)
-    alike = [{"like": each.like, "names": each.names} for each in drawn.alike]
-    counts = {"drawn": len(drawn.edges), "folded": drawn.folded, "alike": alike}
+    alike = [{"like": each.like, "names": each.names} for each in drawn.fold.classes]
+    counts = {"drawn": len(drawn.stands), "folded": drawn.folded, "alike": alike}
     if kind == "dot":
         return dot_document(drawn), drawn.left_out, counts
     document = draw(drawn).encode()

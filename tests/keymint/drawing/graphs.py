@@ -3,11 +3,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+
 from hypothesis import strategies as st
 
 from comarmor.errors import Origin
+from comarmor.text import one_line
 from keymint.api.graph import LABELLED, Edge, Object
+from keymint.drawing.appearance import object_name
 from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph
+from keymint.drawing.layout import NodeKey
+from keymint.drawing.other_formats import dot_document, dot_simplified
+from keymint.drawing.simplify import DrawingOptions
 
 HOSTILE = "</script></style><img src=x onerror=alert(1)>\"'&\u202e\x01]]>"
 ALLOWED, DENIED = Label(True, "an ALLOW rule", Origin("policy.xml", 3)), Label(False, "no rule")
@@ -21,6 +28,16 @@ def edge(subject: str, permission: str, kind: str, name: str) -> Edge:
 def labelled(subject: str, permission: str, name: str, policy: Label | None, *transports: Label | None) -> LabelledEdge:
     kind = next(kind for kind, permissions in LABELLED.items() if permission in permissions)
     return LabelledEdge(edge(subject, permission, kind, name), policy, transports)
+
+
+def names(edges: Iterable[LabelledEdge], subjects: Iterable[str]) -> Mapping[NodeKey, str]:
+    """Return the names that a layout needs."""
+    found: dict[NodeKey, str] = {subject: one_line(subject) for subject in subjects}
+    return found | {one.edge.domain_object: object_name(one.edge.object, one.edge.domain) for one in edges}
+
+
+def dot(labelled: LabelledGraph, options: DrawingOptions | None = None) -> bytes:
+    return dot_document(dot_simplified(labelled, options or DrawingOptions()))
 
 
 def one_of_each() -> LabelledGraph:

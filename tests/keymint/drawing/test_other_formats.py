@@ -11,12 +11,12 @@ import pytest
 
 from keymint.api.plugin_loader import how_to_add
 from keymint.drawing import other_formats
-from keymint.drawing.other_formats import dot, png
+from keymint.drawing.other_formats import png
 from keymint.drawing.simplify import DrawingOptions
 from keymint.drawing.svg import svg
 from keymint.errors import KeymintError
 
-from .graphs import hostile, one_of_each
+from .graphs import dot, hostile, one_of_each
 
 
 def size(picture: bytes) -> tuple[int, int]:

@@ -16,11 +16,23 @@ from keymint.drawing.appearance import Theme, columns
 from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, select_edges
 from keymint.drawing.layout import CHARACTER
 from keymint.drawing.matrix import lay_out_matrix
-from keymint.drawing.other_formats import dot
 from keymint.drawing.simplify import DrawingOptions, Split, shown_edges, simplify
 from keymint.drawing.svg import draw, svg
 
-from .graphs import ALLOWED, DENIED, EXPRESSLY_DENIED, HOSTILE, edge, fleet, graphs, hostile, labelled, one_of_each
+from .graphs import (
+    ALLOWED,
+    DENIED,
+    EXPRESSLY_DENIED,
+    HOSTILE,
+    dot,
+    edge,
+    fleet,
+    graphs,
+    hostile,
+    labelled,
+    names,
+    one_of_each,
+)
 
 NS = {"s": "http://www.w3.org/2000/svg"}
 
@@ -223,7 +235,7 @@ def test_a_matrix_says_whom_each_sign_concerns() -> None:
 
 @given(graphs())
 def test_every_edge_of_a_matrix_has_a_place_of_its_own(graph: LabelledGraph) -> None:
-    panel = lay_out_matrix("", graph.edges, graph.subjects, {}, {})
+    panel = lay_out_matrix("", graph.edges, graph.subjects, names(graph.edges, graph.subjects), {})
     places = {(sign.x, sign.y) for sign in panel.signs}
     assert len(places) == len(panel.signs) == len(graph.edges)
     boxes = {box.key: box for box in panel.boxes}
@@ -236,7 +248,7 @@ def test_every_edge_of_a_matrix_has_a_place_of_its_own(graph: LabelledGraph) -> 
         length = box.height if isinstance(box.key, str) else box.width
         assert columns(box.label) * CHARACTER < length
     drawn = simplify(graph, DrawingOptions(group=True, fold=False))
-    assert len(signs(tree(draw(drawn).encode()))) == len(drawn.edges)
+    assert len(signs(tree(draw(drawn).encode()))) == len(drawn.stands)
 
 
 def test_what_it_is_made_of_is_below() -> None:
