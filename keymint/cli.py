@@ -234,9 +234,8 @@ def call_of(given: Sequence[str]) -> Call:
     named = [each for each in os.environ if each.startswith("KEYMINT_") and each.rpartition("_")[2] in _DEFAULTS]
     variables = tuple((name, os.environ[name]) for name in sorted(named))
     consulted = Consulted(os.environ)
-    return Call(
-        given, folder, colours, _now().timestamp(), time.time_ns(), consulted, _width(), variables, user_defaults
-    )
+    width = shutil.get_terminal_size((0, 0)).columns or None  # COLUMNS, that of the terminal, or none
+    return Call(given, folder, colours, _now().timestamp(), time.time_ns(), consulted, width, variables, user_defaults)
 
 
 def _may_have_colours(stream: TextIO) -> bool:
@@ -246,11 +245,6 @@ def _may_have_colours(stream: TextIO) -> bool:
     if os.environ.get("FORCE_COLOR", "0") not in ("", "0"):
         return True
     return stream.isatty() and os.environ.get("TERM") != "dumb"
-
-
-def _width() -> int | None:
-    """Return how many columns tables may have: ``COLUMNS``, the width of the terminal, or None if there is none."""
-    return shutil.get_terminal_size((0, 0)).columns or None
 
 
 def _recalled(given: Sequence[str]) -> int | None:

@@ -74,8 +74,7 @@ def plan_removal(session: Session, names: Sequence[str], *, deployed: bool) -> R
     state = session.state
     for stage in session.state.stamps:
         state = state.updated(stage, {}, names)
-    steps = [_step(session, name) for name in names]
-    gone = Plan(tuple(steps), state)
+    gone = Plan(tuple(_step(session, name) for name in names), state)
     after = session.after(gone)
     register = complete_register(session, installed) if deployed else None
     certified = [name for name in names if register and any(not each.revoked for each in register.of(name))]

@@ -134,9 +134,8 @@ class Console:
             notes: whether notes are shown although the output is not verbose, or the codes of those that are.
         """
         for diagnostic, number in self._rolled_up(_in_order(diagnostics, "code", "subject")):
-            self._diagnostic(
-                diagnostic, number, notes=notes is True or (notes is not False and diagnostic.code in notes)
-            )
+            shown = notes if isinstance(notes, bool) else diagnostic.code in notes
+            self._diagnostic(diagnostic, number, notes=shown)
 
     def _diagnostic(self, diagnostic: Diagnostic, number: int, *, notes: bool) -> None:
         if diagnostic.severity is Severity.NOTE and self._verbosity < (0 if notes else 1):

@@ -28,10 +28,9 @@ LOG = "runs.jsonl"
 MOST_RUNS, MOST_BYTES = 1000, 1 << 18
 """The most runs in a log, and its largest size; the oldest runs go."""
 _MOST_NAMES, _LONGEST = 20, 1000
-"""The most packages and authorities that a line names, and the most characters of a command."""
-_MEMBERS = dict.fromkeys(("verb", "command", "user", "host", "version", "workspace"), str) | {
-    "steps": dict, "names": list, "more": int, "written": int, "removed": int
-}  # fmt: skip
+"""The most packages that a line names, and the most characters of a command."""
+_TEXTS = ("verb", "command", "user", "host", "version", "workspace")
+_MEMBERS = {**dict.fromkeys(_TEXTS, str), "steps": dict, "names": list}
 """The members of a line beside the time, and their kinds."""
 _SECRET = lazy_regex(r"(?i)((?:pin(?:-value)?|pass(?:word|phrase|wd)?|secret|token)=|://[^/@\s:]*:)[^&;?@\s'\"]+")
 """What a command may have in the URI of a token or of a server (RFC 7512, 2.3: ``pin-value``)."""
@@ -51,15 +50,14 @@ def log_change(
         now: the clock, UTC.
     """
     workspace, private = inputs.workspace, str(inputs.workspace.private)
-    makes_it = not os.path.lexists(private) and any(
-        f"{each.folder}/".startswith(f"{private}/") for each in plan.changes()
-    )
-    if not plan.writes() or not (makes_it or os.access(private, os.W_OK | os.X_OK)):
+    writes_there = (f"{each.folder}/".startswith(f"{private}/") for each in plan.changes())
+    if not plan.writes() or not (os.access(private, os.W_OK | os.X_OK) or any(writes_there)):
         return ()
     try:
         lines = (inputs.tree.read(workspace.private / LOG) or b"").splitlines()[-MOST_RUNS + 1 :]
     except KeymintError:  # it is a link, or of another user: what the run was asked for comes first
         return ()
+    changing = [step for step in plan.steps if step.writes()]
     entry = {
         "at": now.isoformat(),
         "verb": verb,
@@ -68,21 +66,13 @@ def log_change(
         "host": who[1],
         "version": __version__,
         "workspace": str(workspace.root),
-        **_effect(plan),
+        "steps": Counter(str(step.action) for step in changing),
+        "names": [*dict.fromkeys(step.package for step in changing if step.package)][:_MOST_NAMES],
     }
     lines.append(json.dumps(encodable_value(entry)).encode())
     while sum(map(len, lines)) + len(lines) > MOST_BYTES:
         del lines[0]
     return (secret_file(workspace.private / LOG, b"\n".join(lines) + b"\n"),)
-
-
-def _effect(plan: Plan) -> Mapping[str, Any]:
-    """Return what a plan changes, in numbers, and the first packages and authorities that it changes."""
-    changing = [step for step in plan.steps if step.writes()]
-    names = [*dict.fromkeys(step.package for step in changing if step.package)]
-    numbers = {name: sum(len(getattr(each, name)) for each in plan.changes()) for name in ("written", "removed")}
-    more, counts = max(0, len(names) - _MOST_NAMES), Counter(str(step.action) for step in changing)
-    return {"steps": counts, "names": names[:_MOST_NAMES], "more": more, **numbers}
 
 
 def logged_runs(tree: Tree, workspace: Workspace) -> list[Mapping[str, Any]]:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import textwrap
 import tomllib
 from collections.abc import Mapping
+from functools import partial
 from importlib import resources
 
 import click
@@ -15,7 +16,7 @@ from keymint.command_line.verb import Report, Run, argument, verb
 from keymint.errors import usage_error
 
 PARTS = ("cause", "effect", "remedy")
-_WIDTH = 80
+_WRAPPER = partial(textwrap.TextWrapper, 80, subsequent_indent=" " * 10, break_on_hyphens=False)
 
 
 def explanations() -> Mapping[str, Mapping[str, str]]:
@@ -48,11 +49,5 @@ def explain(
     for number, code in enumerate(wanted if codes else ()):
         run.console.lines(("", code) if number else (code,))
         for part in PARTS:
-            run.console.lines(_paragraph(f"{part}:", known[code][part]))
+            run.console.lines(_WRAPPER(initial_indent=f"  {part + ':':8}").wrap(known[code][part]))
     return run.report({"codes": [{"code": code, **known[code]} for code in wanted]})
-
-
-def _paragraph(title: str, text: str) -> list[str]:
-    """Return the lines of a text, with a title before it."""
-    begin = f"  {title:8}"
-    return textwrap.wrap(text, _WIDTH, initial_indent=begin, subsequent_indent=" " * len(begin), break_on_hyphens=False)
