@@ -17,15 +17,12 @@ import click
 from click.core import ParameterSource
 
 from comarmor.errors import Diagnostic, Origin
-from comarmor.regex import lazy_regex
 from comarmor.text import did_you_mean, quote
 from keymint.errors import ExitCode, KeymintError
 from keymint.view.file_reading import read_file
 
 MAX_BYTES = 1 << 16
 """Largest file of defaults that is read."""
-_WORD = lazy_regex(r"[\w-]+")
-_ENVIRONMENT = "environment"
 _WRITERS = ("build", "check", "create", "init", "install", "prove", "provision", "verify")
 SETTINGS: Mapping[str, tuple[str, Collection[str]]] = {
     "color": ("auto", ()),
@@ -73,47 +70,35 @@ def load_defaults(
     found: list[Default] = []
     problems: list[Diagnostic] = []
     verbs = group.list_commands(click.Context(group))
-    for name, value in variables:
+    # What is said for a verb, by a longer name, is stronger than what is said for all.
+    for name, value in sorted(variables, key=lambda each: -len(each[0])):
         *words, key = name.lower().split("_")[1:]
         # As for click, an empty variable is none.
         if value and (not words or words[0] in (SETTINGS[key][1] or verbs)):
-            found.append(Default(key, " ".join(words), value, _ENVIRONMENT, f"${name}"))
+            found.append(Default(key, " ".join(words), value, "environment", f"${name}"))
             problems += _wrong_value(found[-1], None, group)
     for source, path in files.items():
         # Users keep their own files elsewhere and link to them; that of a workspace may be from a stranger.
         content = read_file(path if source == "workspace" else os.path.realpath(path), MAX_BYTES) or b""
         try:
             text = content.decode()
-            entries = [*_entries(tomllib.loads(text), verbs)]
+            entries = tomllib.loads(text)
         except (ValueError, RecursionError) as error:
             problems.append(_unreadable(error, content, path))
             continue
-        for verb, key, given in entries:
-            where = Origin(path, _line(text, verb, key))
-            known = [name for name, (_, own) in SETTINGS.items() if not verb or not own or verb in own]
-            if key in known:
+        for key, given in entries.items():
+            where = Origin(path, _line(text, key))
+            if key in SETTINGS:
                 value = str(int(given) if key == "verbose" and isinstance(given, bool) else given)
-                found.append(Default(key, verb, value, source, str(where)))
+                found.append(Default(key, "", value, source, str(where)))
                 problems += _wrong_value(found[-1], where, group)
             else:
-                message = f"{quote(key)} {f'of [{verb}] ' if verb else ''}cannot be set here"
-                otherwise = f"{', '.join(known)} can; all else belongs on the command line"
-                help_ = did_you_mean(key, verbs if isinstance(given, dict) else known, otherwise)
+                help_ = did_you_mean(key, SETTINGS, f"{', '.join(SETTINGS)} can; all else belongs on the command line")
+                message = f"{quote(key)} cannot be set here"
                 problems.append(Diagnostic.error("default-unknown", message, where, help_))
     if problems:
         raise KeymintError.of(problems, ExitCode.USAGE)
-    # Of one source, what is said for a verb is stronger than what is said for all.
-    order = [_ENVIRONMENT, *files]
-    return tuple(sorted(found, key=lambda each: (order.index(each.source), -len(each.verb))))
-
-
-def _entries(document: Mapping[str, Any], verbs: Collection[str]) -> Iterator[tuple[str, str, Any]]:
-    """Yield verb (empty for all), key and value of what a file sets."""
-    for key, value in document.items():
-        if key in verbs and isinstance(value, dict):
-            yield from ((key, name, inner) for name, inner in value.items())
-        else:
-            yield "", key, value
+    return tuple(found)
 
 
 def _unreadable(error: Exception, content: bytes, path: str) -> Diagnostic:
@@ -121,7 +106,7 @@ def _unreadable(error: Exception, content: bytes, path: str) -> Diagnostic:
     place = re.search(r" \(at line ([0-9]+)", str(error))
     line = int(place[1]) if place else content.count(b"\n", 0, getattr(error, "start", len(content))) + 1
     message = f"is not {'UTF-8' if isinstance(error, UnicodeDecodeError) else 'TOML'}: {error}"
-    example = 'write e.g. jobs = 4, or for one verb [check] and below it within = "30d"'
+    example = 'write e.g. jobs = 4, or within = "30d"'
     return Diagnostic.error("default-invalid", message, Origin(path, line), example)
 
 
@@ -142,18 +127,10 @@ def _wrong_value(default: Default, where: Origin | None, group: click.Group) -> 
     yield Diagnostic.error("default-invalid", message, where, f"write it as for --{default.key}")
 
 
-def _line(text: str, table: str, key: str) -> int:
-    """Return the line of a key in a file, or of the head of a table of this name; the first one if it is not found."""
-    wanted, head = _WORD.findall(f"{table}.{key}"), list[str]()
-    for number, line in enumerate(text.splitlines(), 1):
-        words = _WORD.findall(line.partition("#")[0].partition("=")[0])
-        if line.lstrip().startswith("["):
-            head = found = words
-        else:
-            found = [*head, *words]
-        if found[: len(wanted)] == wanted:
-            return number
-    return 1
+def _line(text: str, key: str) -> int:
+    """Return the line of a key, or of a table of this name, in a file; the first one if it is not found."""
+    begin = re.compile(rf"""\s*\[*\s*["']?{re.escape(key)}\b""")
+    return next((number for number, line in enumerate(text.splitlines(), 1) if begin.match(line)), 1)
 
 
 def with_defaults(context: click.Context, verb: str, defaults: Sequence[Default]) -> dict[str, Any]:

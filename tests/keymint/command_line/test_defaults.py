@@ -60,12 +60,12 @@ def user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_the_stronger_one_is_shown_with_its_place(keymint, provisioned: Path, user: Path) -> None:
     assert defaults(keymint, provisioned)["--jobs"] == ("all cores", "built-in", None)
-    user.write_text("jobs = 2\nquiet = false\n[check]\nwithin = '10d'\n")
+    user.write_text("jobs = 2\nquiet = false\nwithin = '10d'\n")
     assert defaults(keymint, provisioned)["--jobs"] == ("2", "user", "../config/keymint/keymint.toml:1")
-    (provisioned / "keymint.toml").write_text("\n\njobs = 3 # three\n[check]\n\n'within' = \"20d\"\n")
+    (provisioned / "keymint.toml").write_text("\n\njobs = 3 # three\n\n\n'within' = \"20d\"\n")
     found = defaults(keymint, provisioned, env={"KEYMINT_RENEW_THRESHOLD": "50%"})
     assert found["--jobs"] == ("3", "workspace", "keymint.toml:3")
-    assert found["check --within"] == ("20d", "workspace", "keymint.toml:6")
+    assert found["--within"] == ("20d", "workspace", "keymint.toml:6")
     assert found["renew --threshold"] == ("50%", "environment", "$KEYMINT_RENEW_THRESHOLD")
     assert defaults(keymint, provisioned, env={"KEYMINT_JOBS": "4"})["--jobs"][:2] == ("4", "environment")
     shown = keymint("status", "-v", cwd=provisioned).out
@@ -87,8 +87,9 @@ def test_precedence_by_its_effect(keymint, provisioned: Path, user: Path) -> Non
     assert findings("--within", "0d", KEYMINT_WITHIN="2y") == 0
 
 
-def test_a_table_is_for_its_verb_only(keymint, provisioned: Path) -> None:
-    (provisioned / "keymint.toml").write_text("[status]\nformat = 'openmetrics'\n[check]\nquiet = true\n")
+def test_what_is_said_for_a_verb_is_for_it_only(keymint, provisioned: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (provisioned / "keymint.toml").write_text("format = 'openmetrics'\n")
+    monkeypatch.setenv("KEYMINT_CHECK_QUIET", "1")
     assert keymint("status", cwd=provisioned).out.startswith("# ")
     assert keymint("status", "--format", "table", cwd=provisioned).out.startswith("PACKAGE")
     assert keymint("check", cwd=provisioned).out == ""
@@ -122,11 +123,10 @@ def test_a_change_is_seen_although_the_answer_is_on_record(keymint, just_provisi
         ("colour = 'never'\n", "default-unknown", 1, "'color'"),
         ("job = 3\n", "default-unknown", 1, "'jobs'"),
         ("verbosity = 1\n", "default-unknown", 1, "'verbose'"),
-        ("[check]\nwithn = '3d'\n", "default-unknown", 2, "'within'"),
-        ("[renew]\nwithin = '3d'\n", "default-unknown", 2, "threshold"),
-        ("[install]\nprove = false\n", "default-unknown", 2, "command line"),
-        ("\n[chekc]\nwithin = '3d'\n", "default-unknown", 2, "'check'"),
-        ("check.prove = false\n", "default-unknown", 1, "command line"),
+        ("# c\nwithn = '3d'\n", "default-unknown", 2, "'within'"),
+        ("[install]\nprove = false\n", "default-unknown", 1, "command line"),
+        ("\n[check]\nwithin = '3d'\n", "default-unknown", 2, "command line"),
+        ("install.prove = false\n", "default-unknown", 1, "command line"),
         ("jobs = 0\n", "default-invalid", 1, "1<=x<=256"),
         ("jobs = 1.5\n", "default-invalid", 1, "jobs: '1.5' is not"),
         ("jobs = true\n", "default-invalid", 1, "jobs: 'True' is not"),
@@ -135,7 +135,7 @@ def test_a_change_is_seen_although_the_answer_is_on_record(keymint, just_provisi
         ("within = 3\n", "default-invalid", 1, "not a length of time"),
         ("within = 'soon'\n", "default-invalid", 1, "30d"),
         ("threshold = '120%'\n", "default-invalid", 1, "threshold"),
-        ("[status]\nformat = 'json'\n", "default-invalid", 2, "openmetrics"),
+        ("format = 'yaml'\n", "default-invalid", 1, "openmetrics"),
         ("jobs = 1\njobs = 2\n", "default-invalid", 2, "not TOML"),
         ("jobs = \n", "default-invalid", 1, "not TOML"),
         ("a = " + "[" * 5000, "default-invalid", 1, "not TOML"),
