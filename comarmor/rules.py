@@ -135,8 +135,23 @@ def suffixes(rule: Rule, kind: str, permission: str) -> Iterator[str]:
 
 RAW_PREFIXES = ("rt/", "rq/", "rr/", "rs/", "ra/")
 """What ROS 2 puts before the names of raw topics: of topics, requests, replies, services and actions."""
+_RAW_FORMS = {
+    ("rt/", ""): ("ros_publish", "ros_subscribe", "ros_relay"),
+    ("rq/", "Request"): ("ros_call", "ros_execute"),
+    ("rr/", "Reply"): ("ros_execute", "ros_call"),
+}
+"""Prefix and suffix of the raw topics of topics and services, and what gives the permissions on a raw topic."""
 _SEGMENT = lazy_regex(r"[A-Za-z_][A-Za-z0-9_]*")
 _FULLY_QUALIFIED = lazy_regex(rf"(?:/{_SEGMENT.pattern})+")
+
+
+def of_raw_topic(permission: str, name: str) -> tuple[str, str, str] | None:
+    """Return kind, permission and ROS name that give a permission on a raw topic; None if no ROS name maps to it."""
+    for (prefix, suffix), given in _RAW_FORMS.items():
+        by = dict(zip(PERMISSIONS["topic"], given, strict=False)).get(permission)
+        if by and name.startswith(prefix) and name.endswith(suffix):
+            return KIND_OF[by], by, f"/{name[len(prefix) : len(name) - len(suffix)]}"
+    return None
 
 
 def is_segment(text: str) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from comarmor.errors import Diagnostic
 from comarmor.patterns.decision_lists import Equal
 from comarmor.patterns.glob import Glob, matches, parse
 from comarmor.patterns.tokens import PatternError
-from comarmor.rules import PERMISSIONS, Effect
+from comarmor.rules import PERMISSIONS, Effect, of_raw_topic
 from comarmor.text import did_you_mean, nearest_word, quantity
 from comarmor.values import dataclass
 from keymint.analysis.channels import Channel, ChannelSearch
@@ -25,7 +26,7 @@ from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions, kind_option, policy_options, raw_topic_doubt
 from keymint.command_line.verb import Report, Run, argument, findings_if, flag, option, verb
 from keymint.errors import usage_error
-from keymint.names import typed_permission, typed_subject
+from keymint.names import RAW, typed_permission, typed_subject
 from keymint.output.json import line_json
 from keymint.output.report import members
 
@@ -209,22 +210,30 @@ def _read(words: Sequence[str], folder: Path, kind: str, partition: str) -> tupl
 
 
 def _permitted(run: Run, policy: LoadedPolicy, question: _Question) -> _Answer:
-    """Return who has the permission that a question is about, of the subjects that it names, else of all."""
+    """Return who has the permission that a question is about, of the subjects that it names, else of all.
+
+    Who has a permission on a raw topic may have it by that on the ROS name that maps to it.
+    """
     subjects = parse(next(iter(question.subjects), "*"))
-    holders = list(who_can(policy, subjects, question.kind, question.permission, question.names))
-    certain = next((holder for holder in holders if not holder.unknown), None)
+    asked = [question]
+    if question.kind == RAW and not question.partition and (ros := of_raw_topic(question.permission, question.object)):
+        asked.append(replace(question, kind=ros[0], permission=ros[1], object=ros[2]))
+    holders = [
+        (holder, each) for each in asked for holder in who_can(policy, subjects, each.kind, each.permission, each.names)
+    ]
+    certain = next((each for each in holders if not each[0].unknown), None)
     verdict = "yes" if certain else "unknown" if holders else "no"
     if question.head == "who":
-        run.console.lines(_holder(run, holder, question) for holder in holders)
+        run.console.lines(_holder(run, *each) for each in holders)
         if not holders:
             run.console.line(f"nobody: no subject can {question.permission} {question.object}, whatever its name")
-        return verdict, {"holders": [_as_data(holder, question) for holder in holders]}
+        return verdict, {"holders": [_as_data(*each) for each in holders]}
     shown = certain or next(iter(holders), None)
     if shown:
-        run.console.line(f"{'yes' if certain else 'not known'}: {_holder(run, shown, question)}")
+        run.console.line(f"{'yes' if certain else 'not known'}: {_holder(run, *shown)}")
     else:
         run.console.line(f"no: {question.subjects[0]} can never {question.permission} {question.object}")
-    return verdict, {"witness": _as_data(shown, question) if shown else None}
+    return verdict, {"witness": _as_data(*shown) if shown else None}
 
 
 def _holder(run: Run, holder: PermissionHolder, question: _Question) -> str:

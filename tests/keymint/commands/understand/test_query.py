@@ -179,6 +179,33 @@ def test_a_raw_topic_that_is_meant(keymint) -> None:
     assert keymint("query", FLEET, "who can publish ros_discovery_info").err == ""
 
 
+@pytest.mark.parametrize(
+    ("question", "said"),
+    [
+        ("publish rt/fleet/emergency_stop", "/fleet/dispatcher ros_publish /fleet/emergency_stop"),
+        ("publish rt/robot1/*", "/robot1/base ros_publish /robot1/odom"),
+        ("subscribe rt/robot1/cmd_vel", "/robot1/base ros_subscribe /robot1/cmd_vel"),
+        (
+            "publish rq/robot1/navigate/_action/send_goalRequest",
+            "/fleet/dispatcher ros_call /robot1/navigate/_action/send_goal",
+        ),
+        ("subscribe rr/robot1/navigate/_action/send_goalReply", "/fleet/dispatcher ros_call /robot1/navigate/"),
+        ("publish rr/robot1/navigate/_action/send_goalReply", "/robot1/navigator ros_execute /robot1/navigate/"),
+    ],
+)
+def test_a_raw_topic_that_a_ros_name_maps_to(keymint, question: str, said: str) -> None:
+    """A rule on the ROS name gives the right, so the answer may not be a proven no."""
+    outcome = keymint("query", FLEET, "who can", *question.split())
+    assert said in outcome.out
+    assert outcome.err == ""
+    assert keymint("query", FLEET, f"can /* {question}", "--kind", "topic").out.startswith("yes: ")
+
+
+@pytest.mark.parametrize("question", ["publish rt/elsewhere", "publish rq/robot1/navigateReply", "relay rr/xReply"])
+def test_a_raw_topic_that_nobody_has_a_right_on(keymint, question: str) -> None:
+    assert keymint("query", FLEET, f"who can {question}").out.startswith("nobody: ")
+
+
 def test_a_raw_topic_may_begin_with_a_slash(keymint, tmp_path: Path) -> None:
     (tmp_path / "p.xml").write_text(
         '<profiles><profile name="a"><attachment>/a</attachment><topic qualifier="ALLOW"><attachment>/t</attachment>'
