@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from comarmor.text import did_you_mean, quantity
+from keymint.command_line.agreement import FEWEST
 from keymint.command_line.options import iso_validity
 from keymint.command_line.verb import Report, Run, argument, verb
 from keymint.errors import KeymintError, usage_error
@@ -57,8 +58,18 @@ def set_setting(
         run.console.line(
             f"to be built and signed again: {quantity(len(subjects), 'enclave')}: {subject_list(subjects)}"
         )
-        run.console.line("run 'keymint build' and 'keymint install', or 'keymint provision', then deploy and restart")
+        asks = setting in {"domain", "distro"} and len(subjects) >= FEWEST
+        agreed = "; --yes agrees that rights of the former one end" if asks else ""
+        run.console.line(f"run {_commands(session, ' --yes' if asks else '')}, then deploy and restart{agreed}")
     return replace(report, result={"settings": [{"setting": setting, "value": wanted}], "signed_again": subjects})
+
+
+def _commands(session: Session, agreed: str) -> str:
+    """Return the commands that sign again what a setting changes; the policy's file if the workspace has one policy."""
+    if len(policies := session.profile.policies) == 1:
+        policy, root = map(session.workspace.shown, (policies[0].path, session.workspace.root))
+        return f"'keymint provision {policy} -w {root}{agreed}'"
+    return f"'keymint create --all{agreed}', 'keymint build' and 'keymint install{agreed}'"
 
 
 def _change(session: Session, setting: str, value: str) -> Plan:

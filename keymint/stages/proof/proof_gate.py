@@ -11,6 +11,7 @@ from comarmor.errors import Diagnostic, Severity
 from keymint.api import LoadedPolicy, Proof
 from keymint.errors import ExitCode, KeymintError
 from keymint.names import name_of
+from keymint.stages.create import CHANGED
 from keymint.stages.documents import HAND_EDITED
 from keymint.stages.proof.proof_results import EnclaveProof, ProofEffort, dated_of, diagnostics_of, merged_packages
 from keymint.stages.proof.prove import NO_PROVER, STAGE, ProofStage
@@ -51,12 +52,17 @@ def proven(crew: Crew, work: Work, names: Collection[str], policy: LoadedPolicy,
     results = stage.results(crew.planned(stage, [name for name in sorted(names) if name not in kept]))
     diagnostics = diagnostics_of(results, strict=request.strict)
     of_vendors = {enclave.subject for enclave in results.enclaves if _holds(enclave, results.standards)}
+    changed = any(each.code == CHANGED for each in plan.diagnostics)
     refused: list[Diagnostic] = []
     for each in diagnostics:
         by_vendors_only = each.subject in of_vendors
         if each.code != NO_PROVER and not (by_vendors_only and _goes_on(session, each.subject)):
             accept = "accept differences between vendors with --allow-vendor-specific, " if by_vendors_only else ""
             remedy = f"nothing was installed; rebuild it from the policy, {accept}or sign it anyway with --no-prove"
+            if changed:
+                remedy = (
+                    "nothing was installed; the policy changed: run 'keymint create --all' and 'keymint build' first"
+                )
             refused.append(replace(each, help=f"{each.help}; {remedy}" if each.help else remedy))
 
     def shown(name: str) -> str:

@@ -137,3 +137,27 @@ def test_another_domain_in_the_environment_is_a_warning(keymint: Callable, provi
             assert keymint(*words, "--json", cwd=provisioned, env={"ROS_DOMAIN_ID": same}).codes() == []
     edit(provisioned / GRANTS, "<id>0</id>", "<id>0</id><id_range><min>4</min><max>6</max></id_range>")
     assert keymint("env", "talker", "--json", cwd=provisioned, env={"ROS_DOMAIN_ID": "4"}).codes() == []
+
+
+@pytest.mark.parametrize(("setting", "value"), [("domain", "5"), ("distro", "humble"), ("valid-for", "90d")])
+def test_the_advice_leads_through(keymint: Callable, tmp_path: Path, setting: str, value: str) -> None:
+    """So many subjects lose a right with a domain or a distribution that one is asked."""
+    robots = "".join(f"<attachment>/r{number}</attachment>" for number in range(6))
+    node = '<xi:include href="common/node.xml" parse="xml"/>'
+    xinclude = 'xmlns:xi="http://www.w3.org/2001/XInclude"'
+    (tmp_path / "fleet.xml").write_text(f'<profiles {xinclude}><profile name="r">{robots}{node}</profile></profiles>')
+    assert keymint("provision", "fleet.xml", "-w", "ws").code == 0
+    said = keymint("set", setting, value, "-w", "ws").out
+    agreed = "" if setting == "valid-for" else " --yes"
+    assert f"run 'keymint provision fleet.xml -w ws{agreed}'" in said
+    if setting == "distro":  # not so far as to sign what the policy does not say
+        assert keymint("build", "-w", "ws").code == 0
+        refused = keymint("install", "-w", "ws")
+        assert "counterexample" in refused.err
+        assert ("'keymint create --all' and 'keymint build' first" in refused.err, "no-prove" in refused.err) == (
+            True,
+            False,
+        )
+    words = said.split("run 'keymint ")[1].split("'")[0].split()
+    assert keymint(*words).code == 0
+    assert keymint("check", "-w", "ws").code == 0
