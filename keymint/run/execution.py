@@ -323,14 +323,9 @@ def _without_bytes(plan: PackagePlan) -> PackagePlan:
 
 RECORD = "state.json"
 _TOLD_ONCE = {
-    RIGHTS_OUTLIVE,
-    "node-cannot-start",
-    "parameter-client-cannot-start",
-    "profile-name-twice",
-    "profile-copied",
-    "profile-wide",
-}
-_TOLD_ONCE |= {"policy-replaced", "rights-lost", "rights-unread", "subject-stripped"}
+    RIGHTS_OUTLIVE, "node-cannot-start", "parameter-client-cannot-start", "policy-replaced", "profile-copied",
+    "profile-name-twice", "profile-wide", "rights-lost", "rights-unread", "subject-stripped",
+}  # fmt: skip
 """Codes of what is told only by a run that does something: signed rights became narrower, and slips in the policy."""
 _TOLD_ANYWAY = {"distro-unnamed", "domain-environment", "element-renamed", "authority-key-missing", ORPHANED, IGNORED}
 """Codes of what each run finds out, whichever packages it looks at."""

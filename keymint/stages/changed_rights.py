@@ -47,9 +47,30 @@ def changed_rights(
         of_all: name of the build type whose documents over all packages these are; empty for those of the package.
     """
     files = enclave_files(session, package.name)[0] if package.role is api.Role.SUBJECT else {}
-    for name, build_type in build_types_of(session, package).items() if files else ():
-        if name == of_all if of_all else not build_type.SHARES:
-            yield from _changed(session, package, (name, build_type), files, built)
+    workspace, policy = session.workspace, package.grant.rules.rules
+    for name, plugin in build_types_of(session, package).items() if files else ():
+        if plugin.prover is None or (name != of_all if of_all else plugin.SHARES):
+            continue
+        with suppress(KeymintError, KeyError):  # what cannot be read is not the same
+            presented = files[plugin.presentation.FILE] if plugin.presentation else b""
+            if smime.signed_content(presented) in built.values():
+                continue  # whoever signed it
+        folders = workspace.shown(session.enclave_folder(package.name)), workspace.shown(workspace.install)
+        shared, anchors = installed_documents(session, name), anchors_of(session, package, plugin)
+        enclave = api.EnclaveFiles(files, folders[0], anchors, shared, folders[1])
+        after, changes = api.InstalledRights(policy, package.grant.domains), list[PermissionChange]()
+        try:
+            after = plugin.prover.rights(enclave, package.subject, built) or after
+            before = plugin.prover.rights(enclave, package.subject)
+        except KeymintError as error:
+            changes = [PermissionChange(True, "", "", (STAR,), False, "", None, str(error.diagnostics[0]))]
+        else:
+            for each in _differences(before, after) if before else ():
+                # The document that allows what is gained is not there yet.
+                rule = each.gains and matching_rule(policy, Effect.ALLOW, each.kind, each.permission, each.word)
+                changes.append(replace(each, where=rule.origin if rule else None) if each.gains else each)
+        if changes:
+            yield SubjectChanges(package.subject, None, True, _permits(after.rules), tuple(changes))
 
 
 def rights_of_sources(session: Session, names: Iterable[str]) -> Iterator[SubjectChanges]:
@@ -70,39 +91,6 @@ def rights_of_sources(session: Session, names: Iterable[str]) -> Iterator[Subjec
                     shared[name] = build_shared(session, name, options).documents
                 built = shared[name] if plugin.SHARES else plugin.build(package, options).documents
                 yield from changed_rights(session, package, built, name)
-
-
-def _changed(
-    session: Session,
-    package: api.Package,
-    of_type: tuple[str, api.BuildType],
-    files: Mapping[str, bytes],
-    built: Mapping[str, bytes],
-) -> Iterator[SubjectChanges]:
-    """Yield what a subject gains and loses on one transport."""
-    (name, plugin), workspace, policy = of_type, session.workspace, package.grant.rules.rules
-    with suppress(KeymintError, KeyError):  # what cannot be read is not the same
-        presented = files[plugin.presentation.FILE] if plugin.presentation else b""
-        if smime.signed_content(presented) in built.values():
-            return  # whoever signed it
-    if plugin.prover is None:
-        return
-    folders = workspace.shown(session.enclave_folder(package.name)), workspace.shown(workspace.install)
-    shared, anchors = installed_documents(session, name), anchors_of(session, package, plugin)
-    enclave = api.EnclaveFiles(files, folders[0], anchors, shared, folders[1])
-    after, changes = api.InstalledRights(policy, package.grant.domains), list[PermissionChange]()
-    try:
-        after = plugin.prover.rights(enclave, package.subject, built) or after
-        before = plugin.prover.rights(enclave, package.subject)
-    except KeymintError as error:
-        changes = [PermissionChange(True, "", "", (STAR,), False, "", None, str(error.diagnostics[0]))]
-    else:
-        for each in _differences(before, after) if before else ():
-            # The document that allows what is gained is not there yet.
-            rule = each.gains and matching_rule(policy, Effect.ALLOW, each.kind, each.permission, each.word)
-            changes.append(replace(each, where=rule.origin if rule else None) if each.gains else each)
-    if changes:
-        yield SubjectChanges(package.subject, None, True, _permits(after.rules), tuple(changes))
 
 
 def _differences(before: api.InstalledRights, after: api.InstalledRights) -> Iterator[PermissionChange]:

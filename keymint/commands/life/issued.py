@@ -83,10 +83,9 @@ def _accepted(run: Run, names: Names, session: Session) -> Plan:
     register = complete_register(session)
     known = {each.name for each in register.rights}
     chosen = names.packages(run, session, known.union(session.packages()), known) if names else ()
-    if missing := [name for name in chosen if name not in known] or not chosen:
-        who = (
-            f"of {subject_of(missing[0])} is known" if isinstance(missing, list) else "is tolerated unless you name it"
-        )
+    missing = [name for name in chosen if name not in known]
+    if missing or not chosen:
+        who = f"of {subject_of(missing[0])} is known" if missing else "is tolerated unless you name it"
         raise KeymintError(f"no document {who}", help="'keymint check' names the packages", code="package-unknown")
     writes = register_change(session, register.with_accepted(chosen, session.now))
     action = Action.UPDATED if writes else Action.UNCHANGED

@@ -55,9 +55,8 @@ def set_setting(
     report, again = run.made(make_plan)
     subjects = [*map(subject_of, again)]
     if subjects:
-        run.console.line(
-            f"to be built and signed again: {quantity(len(subjects), 'enclave')}: {subject_list(subjects)}"
-        )
+        number = quantity(len(subjects), "enclave")
+        run.console.line(f"to be built and signed again: {number}: {subject_list(subjects)}")
         asks = setting in {"domain", "distro"} and len(subjects) >= FEWEST
         agreed = "; --yes agrees that rights of the former one end" if asks else ""
         run.console.line(f"run {_commands(session, ' --yes' if asks else '')}, then deploy and restart{agreed}")

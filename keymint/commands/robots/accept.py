@@ -77,10 +77,8 @@ def accept(
             # A key must be in its enclave, durably, before it is removed here.
             store.commit(store.stage(answered))
     restart = [each.bundle.manifest.enclave for each in taken if each.step.writes()]
-    if not run.dry_run:
-        run.console.messages(
-            [f"restart the processes of {each}: they read their files when they start" for each in restart]
-        )
+    told = [f"restart the processes of {each}: they read their files when they start" for each in restart]
+    run.console.messages([] if run.dry_run else told)
     notes = [note for each in taken for note in each.acceptance.notes]
     result = {
         "keystore": keystore.shown,

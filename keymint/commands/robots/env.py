@@ -47,6 +47,5 @@ def env(
         )
     values = enclave_environment(session, name)
     run.console.document(exports(values, shell).encode(errors="surrogateescape"))
-    return run.report(
-        {"enclave": subject, "variables": dict(values)}, other_domain(session), workspace=session.workspace
-    )
+    result = {"enclave": subject, "variables": dict(values)}
+    return run.report(result, other_domain(session), workspace=session.workspace)
