@@ -43,15 +43,6 @@ OUTCOMES = {
 }
 """What is decided about an edge, in the order of pages."""
 
-SHORT_OUTCOMES = {
-    EdgeOutcome.FALSE_POSITIVE: "falsely allowed",
-    EdgeOutcome.FALSE_NEGATIVE: "falsely denied",
-    EdgeOutcome.ALLOW: "allowed",
-    EdgeOutcome.DENY: "denied",
-    EdgeOutcome.UNLABELLED: "without a decision",
-}
-"""The same in a word or two."""
-
 SIGNS = dict(zip((*OUTWARD[:4], *INWARD[:4], "relay"), "PEOWSCQRB", strict=True))
 """Letters of roles in a matrix; Q is for requests, B for both ways."""
 

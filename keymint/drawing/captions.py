@@ -10,7 +10,7 @@ from itertools import zip_longest
 from comarmor.text import first_few, one_line, quantity
 from keymint.api.graph import EdgeOutcome
 from keymint.drawing.alike import Alike
-from keymint.drawing.appearance import KINDS, SHORT_OUTCOMES, object_name
+from keymint.drawing.appearance import KINDS, OUTCOMES, object_name
 from keymint.drawing.labelled_graph import LabelledGraph, LeftOut, namespace
 from keymint.drawing.layout import NodeKey
 from keymint.drawing.simplify import SimplifiedGraph
@@ -47,7 +47,7 @@ def left_out_words(left_out: Mapping[LeftOut, int]) -> str:
     """Return how many edges of which kind are left out: ``12 allowed (10 topic, 2 service), 3 denied (3 action)``."""
     return ", ".join(
         f"{sum(counts.values())} {words} ({', '.join(f'{count} {KINDS[kind]}' for kind, count in counts.items())})"
-        for outcome, words in SHORT_OUTCOMES.items()
+        for outcome, words in OUTCOMES.items()
         if (counts := {kind: left_out[outcome, kind] for kind in KINDS if left_out.get((outcome, kind))})
     )
 

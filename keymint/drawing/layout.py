@@ -85,30 +85,14 @@ class EdgeLine:
 
 
 @dataclass(frozen=True, slots=True)
-class Sign:
-    """An edge in a matrix.
-
-    Attributes:
-        labelled: the edge.
-        x: its middle, in pixels.
-        y: its middle.
-    """
-
-    labelled: LabelledEdge
-    x: float
-    y: float
-
-
-@dataclass(frozen=True, slots=True)
 class Panel:
-    """The layout of one graph, from (0, 0); with lines, or as a matrix with signs."""
+    """The layout of one graph, from (0, 0); in a matrix a line is a point, where the sign of its edge is."""
 
     heading: str
     boxes: tuple[NodeBox, ...]
     lines: tuple[EdgeLine, ...]
     width: float
     height: float
-    signs: tuple[Sign, ...] = ()
 
 
 def objects_in_order(edges: Iterable[LabelledEdge]) -> list[DomainObject]:

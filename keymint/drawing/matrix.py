@@ -7,12 +7,12 @@ Where lines would hide each other, signs do not: each has a place of its own, so
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from keymint.api.graph import DomainObject
 from keymint.drawing.appearance import columns, shorten
 from keymint.drawing.labelled_graph import LabelledEdge
-from keymint.drawing.layout import CHARACTER, NodeBox, NodeKey, Panel, Sign, objects_in_order
+from keymint.drawing.layout import CHARACTER, EdgeLine, NodeBox, NodeKey, Panel, objects_in_order
 
 ROW = 22.0
 """Height of a row, in pixels."""
@@ -21,13 +21,6 @@ SIGN = 21.0
 _PADDING, _BULLET = 10.0, 14.0
 MOST_COLUMNS = 30
 """Subjects of a matrix: the eye does not follow longer rows."""
-
-
-def matrix_parts(heading: str, subjects: Sequence[str]) -> Iterator[tuple[str, Sequence[str]]]:
-    """Yield the parts of a matrix that is too wide, each with its heading and its subjects."""
-    for begin in range(0, len(subjects), MOST_COLUMNS):
-        part = subjects[begin : begin + MOST_COLUMNS]
-        yield heading + (f" {begin + 1} to {begin + len(part)}" if len(subjects) > MOST_COLUMNS else ""), part
 
 
 def lay_out_matrix(
@@ -43,27 +36,20 @@ def lay_out_matrix(
     for one in edges:
         cells[one.edge.subject, one.edge.domain_object].append(one)
 
-    def label(key: NodeKey) -> str:
-        return shorten(names[key]) + (f" ({mark})" if (mark := marks.get(key)) else "")
-
-    above = {subject: label(subject) for subject in subjects}
-    beside = {key: label(key) for key in objects}
-    left = max(map(columns, beside.values()), default=0) * CHARACTER + 2 * _PADDING + _BULLET
-    top = max(map(columns, above.values()), default=0) * CHARACTER + 2 * _PADDING
+    keys: Sequence[NodeKey] = [*subjects, *objects]
+    labels = {key: shorten(names[key]) + (f" ({marks[key]})" if key in marks else "") for key in keys}
+    left = max((columns(labels[key]) for key in objects), default=0) * CHARACTER + 2 * _PADDING + _BULLET
+    top = max((columns(labels[key]) for key in subjects), default=0) * CHARACTER + 2 * _PADDING
     width = max(ROW, SIGN * max(map(len, cells.values()), default=1) + 3)
-    boxes = [
-        NodeBox(subject, "subject", text, left + at * width + 1, 0.0, width - 2, top - 2)
-        for at, (subject, text) in enumerate(above.items())
-    ]
-    boxes += [
-        NodeBox(key, key[1].kind, text, 0.0, top + at * ROW + 1, left - 2, ROW - 2)
-        for at, (key, text) in enumerate(beside.items())
-    ]
-    column = {subject: left + at * width for at, subject in enumerate(above)}
-    row = {key: top + at * ROW for at, key in enumerate(beside)}
-    signs = [
-        Sign(one, column[subject] + width / 2 + (at - (len(those) - 1) / 2) * SIGN, row[key] + ROW / 2)
-        for (subject, key), those in cells.items()
-        for at, one in enumerate(those)
-    ]
-    return Panel(heading, tuple(boxes), (), left + len(above) * width, top + len(beside) * ROW, tuple(signs))
+    boxes: dict[NodeKey, NodeBox] = {}
+    for at, subject in enumerate(subjects):
+        boxes[subject] = NodeBox(subject, "subject", labels[subject], left + at * width + 1, 0.0, width - 2, top - 2)
+    for at, key in enumerate(objects):
+        boxes[key] = NodeBox(key, key[1].kind, labels[key], 0.0, top + at * ROW + 1, left - 2, ROW - 2)
+    lines: list[EdgeLine] = []
+    for (subject, key), those in cells.items():
+        x, y = boxes[subject].x + boxes[subject].width / 2, boxes[key].y + boxes[key].height / 2
+        places = (x + (at - (len(those) - 1) / 2) * SIGN for at in range(len(those)))
+        lines += (EdgeLine(one, place, y, place, y) for one, place in zip(those, places, strict=True))
+    size = left + len(subjects) * width, top + len(objects) * ROW
+    return Panel(heading, tuple(boxes.values()), tuple(lines), *size)

@@ -35,8 +35,8 @@ from keymint.drawing.appearance import (
 )
 from keymint.drawing.captions import marks_of, names_of, subtitle
 from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, namespace
-from keymint.drawing.layout import CHARACTER, EdgeLine, NodeBox, NodeKey, Panel, Sign, lay_out
-from keymint.drawing.matrix import lay_out_matrix, matrix_parts
+from keymint.drawing.layout import CHARACTER, EdgeLine, NodeBox, NodeKey, Panel, lay_out
+from keymint.drawing.matrix import MOST_COLUMNS, lay_out_matrix
 from keymint.drawing.simplify import DrawingOptions, Members, SimplifiedGraph, Split, priority, simplify
 
 if TYPE_CHECKING:
@@ -123,7 +123,8 @@ def draw(drawn: SimplifiedGraph, number: NodeNumber | None = None) -> str:
     most = max(width, _SHEET) if len(panels) > 1 else width
     places, sheet_width, sheet_height = _in_rows(zip(widths, heights, strict=True), most, _PANEL_GAP)
     width = max(sheet_width, _LEAST_WIDTH)
-    samples, legend_height = _place_entries([*legend(drawn, panels)], width)
+    entries = [*legend(drawn, panels)]
+    samples, _, legend_height = _in_rows([(58 + columns(text) * CHARACTER, LINE) for text, _, _ in entries], width, 0.0)
     caption = subtitle(drawn)
     subtitles = textwrap.wrap(caption, int(width / CHARACTER), break_long_words=False, break_on_hyphens=False)
     top = MARGIN + (1 + len(subtitles)) * LINE
@@ -132,6 +133,12 @@ def draw(drawn: SimplifiedGraph, number: NodeNumber | None = None) -> str:
     bottom = panel_top + sheet_height + MARGIN
     made = [line for text in labelled.made for line in textwrap.wrap(one_line(text), int(width / CHARACTER))]
     left = MARGIN + (max(0.0, width - sheet_width) / 2)
+    shape = _edge if drawn.matrices else _line
+
+    def rank(line: EdgeLine) -> int:
+        """Return when a line is drawn: the most important ones last, above the others."""
+        return 0 if drawn.matrices else -priority(line.labelled, options.transport)
+
     template = environment().get_template("picture.svg.j2")
     return template.render(
         title=one_line(labelled.title),
@@ -145,7 +152,7 @@ def draw(drawn: SimplifiedGraph, number: NodeNumber | None = None) -> str:
         made=[(text, bottom + 6 + at * LINE) for at, text in enumerate(made)],
         margin=MARGIN,
         matrix=drawn.matrices,
-        legend=samples,
+        legend=[*zip(entries, samples, strict=True)],
         legend_top=legend_top,
         rule_y=panel_top - 12,
         panels=[
@@ -153,12 +160,8 @@ def draw(drawn: SimplifiedGraph, number: NodeNumber | None = None) -> str:
                 "heading": panel.heading,
                 "x": left + x,
                 "y": panel_top + y + heading,
-                "lines": [
-                    _line(line, drawn, number)
-                    for line in sorted(panel.lines, key=lambda line: -priority(line.labelled, options.transport))
-                ],
+                "edges": [shape(line, drawn, number) for line in sorted(panel.lines, key=rank)],
                 "boxes": [_box(box, drawn, number) for box in panel.boxes],
-                "signs": [_sign(sign, drawn, number) for sign in panel.signs],
                 "width": panel.width,
             }
             for panel, (x, y), heading in zip(panels, places, headings, strict=True)
@@ -178,8 +181,11 @@ def _parts(drawn: SimplifiedGraph) -> Iterator[tuple[str, tuple[LabelledEdge, ..
     for one in drawn.stands:
         edges[one.edge.subject].append(one)
     for part, every in members.items():
-        for heading, subjects in matrix_parts(one_line(part), every) if drawn.matrices else [(one_line(part), every)]:
-            yield heading, tuple(one for subject in subjects for one in edges[subject]), tuple(subjects)
+        most = MOST_COLUMNS if drawn.matrices else len(every)
+        for begin in range(0, len(every), most):
+            subjects = tuple(every[begin : begin + most])
+            heading = one_line(part) + (f" {begin + 1} to {begin + len(subjects)}" if len(every) > most else "")
+            yield heading, tuple(one for subject in subjects for one in edges[subject]), subjects
 
 
 def _in_rows(
@@ -222,11 +228,13 @@ def _box(box: NodeBox, drawn: SimplifiedGraph, number: NodeNumber | None) -> dic
     }
 
 
-def _edge(one: LabelledEdge, drawn: SimplifiedGraph, number: NodeNumber | None) -> dict[str, object]:
-    """Return what a line and a sign have in common."""
-    transports, more = drawn.labelled.transports, len(drawn.stands[one]) - 1
+def _edge(line: EdgeLine, drawn: SimplifiedGraph, number: NodeNumber | None) -> dict[str, object]:
+    """Return the sign of an edge, and what a line has in common with it."""
+    one, transports = line.labelled, drawn.labelled.transports
+    more = len(drawn.stands[one]) - 1
     outcome = one.outcome(drawn.options.transport)
     return {
+        "line": line,
         "outcome": outcome,
         "classes": edge_classes(outcome, labels=bool(transports)),
         "title": sentence(one, transports) + (f", and {more} more that it stands for" if more else ""),
@@ -234,14 +242,9 @@ def _edge(one: LabelledEdge, drawn: SimplifiedGraph, number: NodeNumber | None) 
         "danger": outcome is EdgeOutcome.FALSE_POSITIVE,
         "subject": _numbers(drawn.members[one.edge.subject], number),
         "object": _numbers(drawn.members[one.edge.domain_object], number),
+        "letter": SIGNS[role(one.edge.permission)],
+        "barred": outcome in {EdgeOutcome.DENY, EdgeOutcome.FALSE_NEGATIVE},
     }
-
-
-def _sign(sign: Sign, drawn: SimplifiedGraph, number: NodeNumber | None) -> dict[str, object]:
-    common = _edge(sign.labelled, drawn, number)
-    barred = common["outcome"] in {EdgeOutcome.DENY, EdgeOutcome.FALSE_NEGATIVE}
-    letter = SIGNS[role(sign.labelled.edge.permission)]
-    return {**common, "x": sign.x, "y": sign.y, "letter": letter, "barred": barred}
 
 
 def _line(line: EdgeLine, drawn: SimplifiedGraph, number: NodeNumber | None) -> dict[str, object]:
@@ -254,14 +257,14 @@ def _line(line: EdgeLine, drawn: SimplifiedGraph, number: NodeNumber | None) -> 
     bend = _BEND * (end - start)
     curve = f"M{_number(start)} {_number(line.y1)}C{_number(start + bend)} {_number(line.y1)} "
     curve += f"{_number(end - bend)} {_number(line.y2)} {_number(end)} {_number(line.y2)}"
-    barred = outcome is not EdgeOutcome.UNLABELLED and not outcome.allowed
+    barred = outcome in {EdgeOutcome.DENY, EdgeOutcome.FALSE_NEGATIVE}
     heads = []
     if outward:
         heads.append(_head(line.x2, line.y2, forward * size, barred=barred))
     if inward:
         heads.append(_head(line.x1, line.y1, -forward * size, barred=barred))
     return {
-        **_edge(line.labelled, drawn, number),
+        **_edge(line, drawn, number),
         "curve": curve,
         "heads": "".join(heads),
         "dot_x": start + (end - start) * _DOT_ACROSS,
@@ -332,14 +335,3 @@ def _legend_of_edges(drawn: SimplifiedGraph) -> Iterator[LegendEntry]:
             text = OUTCOMES[outcome] + compared.get(outcome, "")
             form = "sign" if drawn.matrices else "arrow" if outcome.allowed else "barred"
             yield (text, edge_classes(outcome, labels=labels), form)
-
-
-def _place_entries(entries: Sequence[LegendEntry], width: float) -> tuple[list[dict[str, object]], float]:
-    """Place entries in lines of a width in pixels; return them and their total height."""
-    sizes = [(40 + columns(text) * CHARACTER + 18, LINE) for text, _, _ in entries]
-    places, _, height = _in_rows(sizes, width, 0.0)
-    samples: list[dict[str, object]] = [
-        {"text": text, "classes": classes, "form": form, "x": round(x, 1), "y": y}
-        for (text, classes, form), (x, y) in zip(entries, places, strict=True)
-    ]
-    return samples, height

@@ -135,12 +135,9 @@ def verify(
                 title = f"{graph.stem if graph else session.profile.name} on {', '.join(groups[each.build_type])}"
                 folder = report / run.plugins.build_type(each.build_type).TRANSPORT if len(verified) > 1 else report
                 labelled = labelled_edges(title, each, run.typed, workspace_library_rules(session))
-                probes = (
-                    ()
-                    if graph
-                    else made_up_objects(policy, scopes[each.build_type], (one.edge for one in labelled.edges))
-                )
-                labelled = replace(labelled, probes=frozenset(probes), made=made)
+                asked = () if graph else (one.edge for one in labelled.edges)
+                probes = frozenset(made_up_objects(policy, scopes[each.build_type], asked))
+                labelled = replace(labelled, probes=probes, made=made)
                 written, missing = write_report(run, folder, labelled)
                 run.console.lines(f"{file} written" for file in written)
                 result["left_out"] = [*result.get("left_out", ()), *missing]

@@ -236,14 +236,14 @@ def test_a_matrix_says_whom_each_sign_concerns() -> None:
 @given(graphs())
 def test_every_edge_of_a_matrix_has_a_place_of_its_own(graph: LabelledGraph) -> None:
     panel = lay_out_matrix("", graph.edges, graph.subjects, names(graph.edges, graph.subjects), {})
-    places = {(sign.x, sign.y) for sign in panel.signs}
-    assert len(places) == len(panel.signs) == len(graph.edges)
+    places = {(sign.x1, sign.y1) for sign in panel.lines}
+    assert len(places) == len(panel.lines) == len(graph.edges)
     boxes = {box.key: box for box in panel.boxes}
-    for sign in panel.signs:
+    for sign in panel.lines:
         column, row = boxes[sign.labelled.edge.subject], boxes[sign.labelled.edge.domain_object]
-        assert column.x < sign.x < column.x + column.width
-        assert row.y < sign.y < row.y + row.height
-        assert sign.x < panel.width
+        assert column.x < sign.x1 < column.x + column.width
+        assert row.y < sign.y1 < row.y + row.height
+        assert sign.x1 < panel.width
     for box in panel.boxes:
         length = box.height if isinstance(box.key, str) else box.width
         assert columns(box.label) * CHARACTER < length
