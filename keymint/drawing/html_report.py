@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib import resources
@@ -125,7 +125,6 @@ class _Page:
         edge, outcome = one.edge, one.outcome()
         return {
             "outcome": outcome,
-            "words": OUTCOMES[outcome],
             "wrong": outcome.false,
             "subject": one_line(edge.subject),
             "subject_number": self.number(edge.subject),
@@ -164,21 +163,13 @@ class _Page:
 
     def object_rows(self) -> list[Mapping[str, Any]]:
         """Return every object with the permissions that subjects have on it."""
-        allowed: dict[DomainObject, list[tuple[int, str, str]]] = defaultdict(list)
-        counts: dict[DomainObject, Counter[str]] = defaultdict(Counter)
+        rows: dict[DomainObject, dict[str, Any]] = {
+            key: {**self._object(key), "allowed": [], "denied": 0, "wrong": 0} for key in self.objects
+        }
         for one in self._labelled.edges:
-            key = one.edge.domain_object
-            outcome = one.outcome()
-            counts[key]["wrong" if outcome.false else "denied" if outcome is EdgeOutcome.DENY else "other"] += 1
+            row, outcome, subject = rows[one.edge.domain_object], one.outcome(), one.edge.subject
+            row["denied"] += outcome is EdgeOutcome.DENY
+            row["wrong"] += outcome.false
             if outcome not in {EdgeOutcome.DENY, EdgeOutcome.FALSE_NEGATIVE}:
-                subject = one.edge.subject
-                allowed[key].append((self.number(subject), one_line(subject), one_line(one.edge.permission)))
-        return [
-            {
-                **self._object(key),
-                "allowed": allowed[key],
-                "denied": counts[key]["denied"],
-                "wrong": counts[key]["wrong"],
-            }
-            for key in self.objects
-        ]
+                row["allowed"].append((self.number(subject), one_line(subject), one_line(one.edge.permission)))
+        return [*rows.values()]

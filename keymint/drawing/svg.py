@@ -217,13 +217,11 @@ def _box(box: NodeBox, drawn: SimplifiedGraph, number: NodeNumber | None) -> dic
     pattern = not isinstance(key, str) and key[1] in labelled.patterns
     probe = not isinstance(key, str) and key[1] in labelled.probes
     alike = len(drawn.members[key][0]) > 1
-    common = [sentence(one, labelled.transports) for one in drawn.marks.get(key, ())]
     return {
         "box": box,
         "classes": f"box {box.kind}" + " pattern" * pattern + " probe" * probe + " alike" * alike,
         "title": title + ", an expression of the policy" * pattern + ", a name made up to probe a pattern" * probe,
-        "mark_title": "\n".join(common),
-        "number": number(members[0]) if number else None,
+        "mark_title": "\n".join(sentence(one, labelled.transports) for one in drawn.marks.get(key, ())),
         "numbers": _numbers(drawn.members[key], number),
     }
 
@@ -302,23 +300,14 @@ def legend(drawn: SimplifiedGraph, panels: Sequence[Panel]) -> Iterator[LegendEn
         drawn: the part of a graph that is drawn.
         panels: its layout.
     """
+    labelled, objects = drawn.labelled, {one.edge.object for one in drawn.stands}
     kinds = {box.kind for panel in panels for box in panel.boxes}
     yield ("subject", "subject", "box")
     yield from ((name, kind, "box") for kind, name in KINDS.items() if kind in kinds)
-    if any(one.edge.object in drawn.labelled.patterns for one in drawn.stands):
+    if not objects.isdisjoint(labelled.patterns):
         yield ("expression", "pattern neutral", "box")
-    if any(one.edge.object in drawn.labelled.probes for one in drawn.stands):
+    if not objects.isdisjoint(labelled.probes):
         yield ("name made up to probe a pattern", "probe neutral", "box")
-    yield from _legend_of_edges(drawn)
-    if any(one.audit for one in drawn.stands):
-        yield ("AUDIT rule", "audited", "dot")
-    if drawn.marks:
-        yield ("what every node may do (--common draws it)", "muted", "+N")
-    if drawn.fold.classes:
-        yield ("alike: equal up to the name, one is drawn", "muted", "N")
-
-
-def _legend_of_edges(drawn: SimplifiedGraph) -> Iterator[LegendEntry]:
     roles = {role(one.edge.permission) for one in drawn.stands}
     spelled = {name: f"{SIGNS[name]} {name}" if drawn.matrices else name for name in SIGNS}
     for target, directed in (("object", OUTWARD), ("subject", INWARD)):
@@ -328,10 +317,16 @@ def _legend_of_edges(drawn: SimplifiedGraph) -> Iterator[LegendEntry]:
     if "relay" in roles:
         yield (f"both ways: {spelled['relay']}", "plain", "both")
     outcomes = {one.outcome(drawn.options.transport) for one in drawn.stands}
-    labels = bool(drawn.labelled.transports)
+    labels = bool(labelled.transports)
     compared = {EdgeOutcome.ALLOW: " (true positive)", EdgeOutcome.DENY: " (true negative)"} if labels else {}
     for outcome in (EdgeOutcome.ALLOW, EdgeOutcome.DENY, EdgeOutcome.FALSE_POSITIVE, EdgeOutcome.FALSE_NEGATIVE):
         if outcome in outcomes:
             text = OUTCOMES[outcome] + compared.get(outcome, "")
             form = "sign" if drawn.matrices else "arrow" if outcome.allowed else "barred"
             yield (text, edge_classes(outcome, labels=labels), form)
+    extra = {
+        ("AUDIT rule", "audited", "dot"): any(one.audit for one in drawn.stands),
+        ("what every node may do (--common draws it)", "muted", "+N"): bool(drawn.marks),
+        ("alike: equal up to the name, one is drawn", "muted", "N"): bool(drawn.fold.classes),
+    }
+    yield from (entry for entry, wanted in extra.items() if wanted)

@@ -219,7 +219,5 @@ def _drawn(
     drawn = dot_simplified(labelled, options) if kind == "dot" else simplify(labelled, options)
     alike = [{"like": each.like, "names": each.names} for each in drawn.fold.classes]
     counts = {"drawn": len(drawn.stands), "folded": drawn.folded, "alike": alike}
-    if kind == "dot":
-        return dot_document(drawn), drawn.left_out, counts
-    document = draw(drawn).encode()
+    document = dot_document(drawn) if kind == "dot" else draw(drawn).encode()
     return png(document, scale) if kind == "png" else document, drawn.left_out, counts
