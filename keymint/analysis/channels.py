@@ -8,7 +8,7 @@ topics and services. A channel is infrastructure if rules for every node allow i
 
 from __future__ import annotations
 
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import cache
@@ -101,24 +101,26 @@ class ChannelSearch:
     def path(self, sources: Sequence[str], targets: Sequence[str]) -> list[Channel] | None:
         """Return a shortest path of channels from one of the sources to one of the targets, or None.
 
-        Subjects in between are those that the policy names.
+        Subjects in between are those that the policy names. A subject has no path to itself, only from other sources.
         """
         goals = set(targets)
-        seen = set(sources)
-        queue: deque[tuple[str, list[Channel]]] = deque((source, []) for source in sources)
+        # Two sources suffice: a target that is one of them is also reached from the other one.
+        most = 2 if goals.intersection(sources) else 1
+        reached: defaultdict[str, set[str]] = defaultdict(set, {source: {source} for source in sources})
+        queue: deque[tuple[str, str, list[Channel]]] = deque((source, source, []) for source in sources)
         everybody = [*dict.fromkeys((*targets, *self._policy.subjects()))]
         while queue:
-            subject, path = queue.popleft()
+            source, subject, path = queue.popleft()
             for other in everybody:
-                if other in seen:
+                if other == subject or source in reached[other] or len(reached[other]) == most:
                     continue
                 channel = next(self.between(subject, other), None)
                 if channel is None:
                     continue
                 if other in goals:
                     return [*path, channel]
-                seen.add(other)
-                queue.append((other, [*path, channel]))
+                reached[other].add(source)
+                queue.append((source, other, [*path, channel]))
         return None
 
     def between(self, writer: str, reader: str) -> Iterator[Channel]:

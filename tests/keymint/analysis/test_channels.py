@@ -31,6 +31,23 @@ def test_channels(tmp_path: Path) -> None:
     assert ChannelSearch(policy, ["/x/*"]).path(["/a"], ["/c"]) is None
 
 
+def test_a_source_that_is_a_target(tmp_path: Path) -> None:
+    both = rule("ros_topic", "ros_publish ros_subscribe", "/loop")
+    policy = loaded(
+        tmp_path,
+        profile("/a", both),
+        profile("/b", both, rule(*SUB, "/x")),
+        profile("/c", rule(*PUB, "/x"), rule(*SUB, "/y")),
+        profile("/d", rule(*PUB, "/y")),
+    )
+    channels = ChannelSearch(policy, ())
+    assert len(channels.path(["/a", "/c"], ["/a"]) or ()) == 2
+    # /a reaches /b first, and comes back to itself; the path from /d is longer, and one all the same.
+    assert [step.writer for step in channels.path(["/a", "/d"], ["/a"]) or ()] == ["/d", "/c", "/b"]
+    assert channels.path(["/a"], ["/a"]) is None
+    assert channels.path(["/a", "/b"], ["/d"]) is None
+
+
 def test_channels_of_unnamed_subjects(tmp_path: Path) -> None:
     policy = loaded(tmp_path, profile("/amr*/*", rule("ros_topic", "ros_publish ros_subscribe", "{namespace}*")))
     channels = ChannelSearch(policy, ())

@@ -25,6 +25,8 @@ SHARED = ["--except", "/parameter_events", "--except", "ros_discovery_info"]
         ("can /robot1/* ever publish /robot2/*", 0, "no: /robot1/* can never ros_publish /robot2/*"),
         ("can /fleet/dispatcher request /robot1/navigate", 0, "yes: /fleet/dispatcher ros_request /robot1/navigate"),
         ("flows /robot1/lidar /robot1/navigator", 0, "yes: in 1 step"),
+        ("flows /robot1/* /robot1/*", 0, "yes: in 1 step"),
+        ("flows * /robot1/navigator", 0, "yes: in 1 step"),
         (
             "isolated /robot1/* /robot2/*",
             0,
