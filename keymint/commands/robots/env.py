@@ -27,6 +27,8 @@ def env(
     bash, zsh:  eval "$(keymint env /robot1/talker)"
     fish:       keymint env --shell fish /robot1/talker | source
 
+    An error prints 'false', so that eval fails: eval "$(keymint env …)" && ros2 run … starts nothing without security.
+
     All processes of a shell find the keystore, each by the name of its enclave, after 'source install/keystore.bash'
     (.zsh, .fish).
     """

@@ -7,6 +7,8 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import pytest
+
 from tests.conftest import snapshot
 
 
@@ -17,6 +19,23 @@ def test_a_shell_takes_it(keymint, ws: Path, tmp_path: Path) -> None:
     show = 'eval "$(cat lines)"; printf "%s|" "$ROS_SECURITY_KEYSTORE" "$ROS_SECURITY_ENCLAVE_OVERRIDE"'
     done = subprocess.run(["bash", "-c", show], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert done.stdout == f"{moved}/install|/robot1/listener|"
+
+
+@pytest.mark.parametrize("arguments", [["/nope"], ["/nope", "-q"], [], ["/talker", "--shel", "bash"], ["/a b"]])
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_eval_fails_if_there_are_no_variables(
+    keymint, ws: Path, tmp_path: Path, shell: str, arguments: list[str]
+) -> None:
+    """Otherwise a node that starts after it has no security."""
+    outcome = keymint("env", *arguments, "-w", ws)
+    assert outcome.code != 0
+    if shutil.which(shell) is None:
+        pytest.skip(f"{shell} is not installed")
+    (tmp_path / "lines").write_text(outcome.out)
+    show = "cat lines | source; and echo started" if shell == "fish" else 'eval "$(cat lines)" && echo started'
+    done = subprocess.run([shell, "-c", show], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.stdout == ""
+    assert done.returncode != 0
 
 
 def test_each_syntax(keymint, ws: Path) -> None:
@@ -40,7 +59,7 @@ def test_json(keymint, ws: Path) -> None:
 
 def test_an_unknown_enclave(keymint, ws: Path) -> None:
     outcome = keymint("env", "/tolker", "-w", "ws")
-    assert (outcome.code, outcome.out) == (1, "")
+    assert (outcome.code, outcome.out) == (1, "false\n")
     assert (
         outcome.err
         == "ws/install/enclaves: error: there is no enclave /tolker (did you mean '/talker'?) [enclave-unknown]\n"
