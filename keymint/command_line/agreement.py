@@ -13,12 +13,12 @@ from keymint.analysis.permission_changes import rule_changes
 from keymint.analysis.policy_diff import SubjectChanges
 from keymint.analysis.symbolic_search import QueryBudget
 from keymint.api import LoadedPolicy
-from keymint.names import name_of, subject_list, subject_of
+from keymint.names import subject_list, subject_of
 from keymint.output.differences import as_text, differences_json, summary
 from keymint.run.run import Run
 from keymint.stages.work import Work
 from keymint.store.changes import Action, Plan
-from keymint.workspace.installed_enclaves import enclave_names
+from keymint.workspace.installed_enclaves import INSTALLED, enclave_names
 from keymint.workspace.policy_loading import recorded_profiles, recorded_subjects
 from keymint.workspace.session import Session
 
@@ -63,7 +63,7 @@ def confirmed_plan(
 
     if run.dry_run:
         show()
-    told = run.confirm((*reasons, *_losses(session, rights)), show)
+    told = run.confirm((*reasons, *_losses(work, rights)), show)
     return plan.noting(*told, *_unread(rights))
 
 
@@ -92,7 +92,7 @@ def another_policy(
     return (Diagnostic.warning("policy-replaced", message, where, help_),)
 
 
-def _losses(session: Session, rights: Sequence[SubjectChanges]) -> Iterator[Diagnostic]:
+def _losses(work: Work, rights: Sequence[SubjectChanges]) -> Iterator[Diagnostic]:
     """Yield what the user must agree to."""
     if stripped := [each.subject for each in rights if not each.after]:
         of_whom = stripped[0] if len(stripped) == 1 else f"{len(stripped)} subjects: {subject_list(stripped)}"
@@ -100,8 +100,8 @@ def _losses(session: Session, rights: Sequence[SubjectChanges]) -> Iterator[Diag
         yield Diagnostic.warning("subject-stripped", f"this takes all rights from {of_whom}", None, help_)
     losing = [each.subject for each in rights if any(not one.gains for one in each.changes)]
     if len(losing) >= FEWEST:
-        new = {name_of(each.subject) for each in rights if not each.before}
-        total = len({*enclave_names(session)}.difference(session.infrastructure(), new))
+        new = {step.package for step in work.of(INSTALLED).steps if step.action is Action.CREATED}
+        total = len({*enclave_names(work.session)}.difference(work.session.infrastructure(), new))
         if len(losing) * SHARE >= total:
             message = f"this takes rights from {len(losing)} of {quantity(total, 'subject')}: {subject_list(losing)}"
             yield Diagnostic.warning("rights-lost", message, None, "--dry-run shows which")

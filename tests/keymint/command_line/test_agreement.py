@@ -266,6 +266,20 @@ def test_many_that_lose_something(ws: Fleet, size: int, losing: int, stops: bool
         assert ws.provision().code == 0
 
 
+@pytest.mark.parametrize("together", [True, False])
+def test_subjects_that_are_about_to_be_installed_are_not_among_those_that_could_lose(ws: Fleet, together: bool) -> None:
+    ws.start(fleet(11))
+    ws.write(fleet(60, losing=5))
+    if together:
+        assert "this takes rights from 5 of 11 subjects" in ws.provision().err
+        return
+    created = ws.keymint("create", "--all", "-w", "ws", "--yes")
+    assert created.code == 0, created.err
+    assert "this takes rights from 5 of 11 subjects" in created.err
+    assert ws.keymint("build", "-w", "ws").code == 0
+    assert "this takes rights from 5 of 11 subjects" in ws.keymint("install", "-w", "ws").err
+
+
 def test_gains_and_new_subjects_do_not_stop(ws: Fleet) -> None:
     ws.start(fleet(6))
     more = {each: [*own, "publish /c"] for each, own in fleet(8).items()}
