@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import click
@@ -16,12 +17,12 @@ from keymint.command_line.options import DocumentOptions, Names, document_option
 from keymint.command_line.verb import Report, Run, flag, verb
 from keymint.errors import KeymintError, usage_error
 from keymint.names import subject_of
-from keymint.stages.create import policy_changed
+from keymint.stages.create import UNCREATED, policy_changed, subjects_without_package
 from keymint.stages.pipeline import Request, conduct
 from keymint.stages.work import InstallRequest, Work
 from keymint.store.changes import Action, Plan, Step
 from keymint.workspace.package_build_types import BUILD
-from keymint.workspace.policy_loading import load_policy
+from keymint.workspace.policy_loading import lazy_policy, load_policy
 from keymint.workspace.session import Session
 
 
@@ -44,6 +45,7 @@ def build(
         help_ = "name them: 'keymint build --rekey NAME', or '*' for all; 'keymint renew' keeps keys"
         raise usage_error("--rekey replaces private keys, and no package is named", help_)
     options = build_options(run, document_options)
+    run.shown_notes = (UNCREATED,)
 
     def make_plan(session: Session) -> Plan:
         chosen = names.packages(run, session)
@@ -53,6 +55,10 @@ def build(
             yield from told
             yield from policy_changed(session) if chosen or names else (no_packages(session),)
             yield from policy_slips(session, work.plan.steps)
+            with suppress(KeymintError):  # a policy that cannot be read is no matter of a build
+                yield from (
+                    subjects_without_package(session, lazy_policy(session), chosen) if chosen and not names else ()
+                )
             yield from unknown_hints(options.hints, document_options.hints, session.packages())
 
         new_keys = frozenset(chosen if rekey and not run.resumes else ())

@@ -34,6 +34,7 @@ def install(
     'keymint prove --help'. Unchanged certificates and signed documents are kept. Each enclave can be copied to a robot
     by itself; private keys of authorities are never staged. NAME is a package [all].
     """
+    run.shown_notes = (UNCREATED,)
     if names and request.new_authority:
         raise click.UsageError("--new-authority applies to all enclaves; do not name packages.")
 

@@ -64,6 +64,15 @@ class TestNoPackage:
         assert "subjects-uncreated" in outcome.codes()
         assert "subjects-uncreated" not in keymint(verb, "talker", "--json", cwd=ws).codes()
 
+    @pytest.mark.parametrize("verb", ["build", "install", "check", "prove"])
+    def test_others_than_the_created_ones_are_told(self, keymint, policy: Path, verb: str) -> None:
+        assert keymint("init", "some", "--policy", policy).code == 0
+        for words in (("create", "talker"), ("build",), ("install",)):
+            assert keymint(*words, "-w", "some").code == 0
+        outcome = keymint(verb, "-w", "some")
+        assert outcome.code == 0
+        assert "the policy names a subject that has no source package: /robot1/listener" in outcome.err
+
     @pytest.mark.parametrize("verb", ["check", "prove", "install"])
     def test_of_a_policy_that_names_nobody_is_none(self, keymint, tmp_path: Path, verb: str) -> None:
         (tmp_path / "p.xml").write_text("<profiles><profile name='a'><attachment>/x*</attachment></profile></profiles>")
