@@ -44,7 +44,14 @@ def harden(
     if applied:
         run.recover(run.workspace())
     session = run.session()
-    steps = open_steps(session)
+    if names and step not in {None, Weakness.NAMES}:
+        raise click.UsageError(f"the step {step!r} concerns all packages; name none.")
+    wanted = names.packages(run, session)
+    steps = [
+        replace(each, concerns=left) if each.step == Weakness.NAMES else each
+        for each in open_steps(session)
+        if (left := tuple(name for name in each.concerns if name in wanted)) or each.step != Weakness.NAMES
+    ]
     chosen = [each for each in steps if step in {None, str(each.step)}]
     run.console.lines(f"{each.step}: {first_few(each.concerns)}: {each.cost}" for each in chosen)
     if not chosen:
@@ -55,14 +62,11 @@ def harden(
         return replace(report, result=result)
     if step is None:
         raise click.UsageError("--apply needs a STEP: each has a cost of its own.")
-    if names and step != Weakness.NAMES:
-        raise click.UsageError(f"the step {step!r} concerns all packages; name none.")
-    wanted = names.packages(run, session) if names else chosen[0].concerns
 
     def make_plan(session: Session) -> Plan:
         match step:
             case Weakness.NAMES:
-                only = tuple(name for name in wanted if name in chosen[0].concerns)
+                only = chosen[0].concerns
                 return conduct(Work(session), Request(only, change=plan_names(session, only)), run.crew).plan
             case Weakness.AUTHORITY:
                 work = Work(session).then(plan_authority(session, chosen[0], flag_day=flag_day))

@@ -45,6 +45,19 @@ def test_costs_are_said_and_nothing_changes(keymint, adopted: Path) -> None:
     assert snapshot(adopted) == before
 
 
+def test_the_cost_is_that_of_the_packages_that_are_named(keymint, adopted: Path) -> None:
+    cost = complete(keymint("harden", "names", "-w", "ws"))
+    named = complete(keymint("harden", "names", "/talker", "-w", "ws"))
+    assert named.startswith("names: talker: ")
+    assert complete(keymint("harden", "names", "/*", "-w", "ws")) == cost != named
+    for name in ("nosuch", "/nosuch/*"):
+        unknown = keymint("harden", "names", name, "-w", "ws")
+        assert (unknown.code, unknown.out) == (1, "")
+        assert "[package-unknown]" in unknown.err
+    refused = keymint("harden", "authority", "talker", "-w", "ws")
+    assert (refused.code, "concerns all packages" in refused.err) == (2, True)
+
+
 def test_all_steps_in_the_order_of_the_report(keymint, adopted: Path) -> None:
     install = adopted / "install"
     original = files(install)
