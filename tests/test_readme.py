@@ -64,6 +64,23 @@ def test_the_page_about_the_life_of_a_keystore_shows_what_happens(keymint, tmp_p
     assert len(steps) >= 2
 
 
+def test_what_readme_and_the_page_do_about_a_stolen_robot(keymint, tmp_path: Path) -> None:
+    """Other robots get their own enclaves only; a robot that had the keys of all costs all keys."""
+    for name, content in saved_files(README):
+        (tmp_path / name).write_text(content)
+    assert keymint("provision", "robot.xml", "-w", "ws").code == 0
+    (section,) = re.findall(r"\*\*A robot was stolen\*\*.*?```\n(.*?)```", README.read_text(), re.DOTALL)
+    for line in [line.partition("#")[0] for line in section.splitlines()]:
+        assert not line or keymint(*shlex.split(line)[1:], cwd=tmp_path / "ws").code == 0, line
+    assert sorted(path.name for path in (tmp_path / "ws").glob("*.bundle")) == ["detector.bundle", "planner.bundle"]
+    page = (CHECKOUT / "docs/keystore-life.md").read_text()
+    for line in re.findall(r"`(keymint [^`]*'/\*'[^`]* --yes)`", page)[:2]:
+        assert keymint(*shlex.split(line)[1:], cwd=tmp_path / "ws").code == 0, line
+    assert keymint("check", cwd=tmp_path / "ws").code == 0
+    assert "opy `install/` to all" not in page
+    assert "opy install/ to all" not in README.read_text()
+
+
 def test_policies_on_all_pages_and_in_the_examples_are_in_canonical_form(keymint, tmp_path: Path) -> None:
     blocks = [block for page in PAGES for block in re.findall(r"```xml\n(.*?)```", page.read_text(), re.DOTALL)]
     shown = [block for block in blocks if re.match(r"(<\?xml.*\n)?<(profiles?|tests)\b", block)]

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import re
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -19,6 +21,7 @@ from keymint.drawing.svg import svg
 from keymint.verify.endpoint_policy import EdgeRow
 from keymint.verify.mismatch import EdgeComparison, Mismatch
 from keymint.verify.verification import Verification
+from tests.conftest import CHECKOUT
 
 EDGES = [Edge("/a", "ros_publish", Object("ros_topic", f"/t{at}")) for at in range(4)]
 DENIED = PolicyDecision(False, None, Reason(("no rule",)))
@@ -134,6 +137,10 @@ def test_the_report_has_the_count_of_the_verb_and_marks_probes(keymint, tmp_path
     }
     made = page.xpath("//header/p[contains(@class, 'made')]/text()")
     assert [line.split()[0] for line in made] == ["keymint", "policy", "keystore"]
+    command = re.findall(r"in `install/`: `(.*)` \|$", (CHECKOUT / "docs/graph.md").read_text(), re.MULTILINE)[0]
+    shell = ["sh", "-c", command.replace("\\|", "|")]
+    digest = subprocess.run(shell, cwd=tmp_path / "ws/install", capture_output=True, check=True).stdout.decode()
+    assert f"keystore sha256 {digest.split()[0]}" == made[2]
     for name in ("graph", "graph-omg", "differences"):
         text = (tmp_path / f"report/{name}.svg").read_text()
         assert all(line in text for line in made)
