@@ -230,9 +230,8 @@ def call_of(given: Sequence[str]) -> Call:
     except OSError as error:
         raise click.UsageError(f"the current directory is unusable: {error.strerror}; change to another one") from None
     colours = _may_have_colours(sys.stdout), _may_have_colours(sys.stderr)
-    config = os.environ.get("XDG_CONFIG_HOME", "")
-    config = config if config.startswith("/") else os.path.expanduser("~/.config")  # noqa: PTH111 - of a text
-    user_defaults = f"{config}/keymint/{DEFAULTS_FILE}" if config.startswith("/") else ""
+    config = _own_folder("XDG_CONFIG_HOME", "~/.config")
+    user_defaults = config and f"{config}/{DEFAULTS_FILE}"
     named = [each for each in os.environ if each.startswith("KEYMINT_") and each.rpartition("_")[2] in _DEFAULTS]
     variables = tuple((name, os.environ[name]) for name in sorted(named))
     consulted = Consulted(os.environ)
@@ -343,12 +342,15 @@ def _agrees(question: str) -> bool:
 
 
 def _cache() -> Path:
-    """Return the cache directory of this user (XDG Base Directory Specification)."""
-    named = os.environ.get("XDG_CACHE_HOME", "")
-    try:
-        return (Path(named) if named.startswith("/") else Path("~/.cache").expanduser()) / "keymint"
-    except RuntimeError:  # this user has no home directory
-        return Path(f"/tmp/keymint-{os.getuid()}")  # noqa: S108 - its users check who owns it
+    """Return the cache directory of this user; in /tmp, where its users check who owns it, if there is no home."""
+    return Path(_own_folder("XDG_CACHE_HOME", "~/.cache") or f"/tmp/keymint-{os.getuid()}")  # noqa: S108
+
+
+def _own_folder(variable: str, usual: str) -> str:
+    """Return this user's folder for Keymint (XDG Base Directory Specification); empty if there is no home directory."""
+    named = os.environ.get(variable, "")
+    folder = named if named.startswith("/") else os.path.expanduser(usual)  # noqa: PTH111 - of a text
+    return f"{folder}/keymint" if folder.startswith("/") else ""
 
 
 def _now() -> datetime:

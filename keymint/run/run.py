@@ -107,11 +107,7 @@ class Run:
         streams, color = setting.streams, options.get("color") or "auto"
         if color != "auto":
             streams = replace(streams, colour_out=color == "always", colour_err=color == "always")
-        self.console = Console(
-            streams,
-            verbosity=self.verbosity,
-            as_json=options["as_json"],
-        )
+        self.console = Console(streams, verbosity=self.verbosity, as_json=options["as_json"])
         self._agrees = None if options["quiet"] or options["as_json"] else setting.agrees
         self._agreed: set[Diagnostic] = set()
         """What the user agreed to; a plan may be made twice."""

@@ -23,9 +23,7 @@ STAGE = "set"
 
 @verb(dry_run=True, name="set")
 def set_setting(
-    run: Run,
-    setting: str | None = argument(required=False),
-    value: str | None = argument(required=False),
+    run: Run, setting: str | None = argument(required=False), value: str | None = argument(required=False)
 ) -> Report:
     """Change a setting that the workspace got from 'init': in its profile, whose comments and layout stay.
 
