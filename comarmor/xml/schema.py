@@ -52,11 +52,22 @@ class SchemaVocabulary:
 
     def allowed_in(self, element: etree._Element) -> tuple[str, ...]:
         """Return the names of the elements that are allowed in an element of a document; none if it is not declared."""
+        declaration = self._declaration(element)
+        return () if declaration is None else tuple(self._children(declaration))
+
+    def attributes_of(self, element: etree._Element) -> tuple[str, ...]:
+        """Return the names of the attributes that an element of a document may have, and does not have."""
+        declaration = self._declaration(element)
+        type_ = None if declaration is None else self._types.get(declaration.get("type", ""), declaration)
+        found = () if type_ is None else (item.get("name", "") for item in type_.iterchildren(f"{XS}attribute"))
+        return tuple(name for name in found if name and name not in element.attrib)
+
+    def _declaration(self, element: etree._Element) -> etree._Element | None:
         path = [element.tag, *(outer.tag for outer in element.iterancestors())]
         declaration = self.elements.get(str(path.pop()))
         while path and declaration is not None:
             declaration = self._children(declaration).get(str(path.pop()))
-        return () if declaration is None else tuple(self._children(declaration))
+        return declaration
 
     def _children(self, declaration: etree._Element) -> dict[str, etree._Element]:
         """Return the declarations of the elements allowed in a declared element, by name."""
@@ -190,9 +201,11 @@ def _root(match: re.Match[str], vocabulary: SchemaVocabulary, _e: etree._Element
     return f"<{match[1]}> is not expected as the root, expected {_one_of(roots)}", help_
 
 
-def _attribute(match: re.Match[str], vocabulary: SchemaVocabulary, _e: etree._Element | None) -> tuple[str, str]:
-    known = [name for name in vocabulary.attributes if name != match[2]]
-    return f"<{match[1]}> has the unknown attribute '{match[2]}'", did_you_mean(match[2], known, "remove it")
+def _attribute(match: re.Match[str], vocabulary: SchemaVocabulary, element: etree._Element | None) -> tuple[str, str]:
+    left = () if element is None else vocabulary.attributes_of(element)
+    otherwise = f"expected {' or '.join(left)}" if left else "remove it"
+    known = left or [name for name in vocabulary.attributes if name != match[2]]
+    return f"<{match[1]}> has the unknown attribute '{match[2]}'", did_you_mean(match[2], known, otherwise)
 
 
 def _enumeration(match: re.Match[str], *_: object) -> tuple[str, str]:

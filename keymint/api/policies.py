@@ -168,6 +168,11 @@ class LoadedPolicy(ABC):
         """The files of ROS packages that it was read from, each once; None if it does not know them."""
         return None
 
+    @property
+    def findings(self) -> Sequence[Diagnostic]:
+        """Likely mistakes that only the format of the policy shows, as warnings."""
+        return ()
+
     def structure(self) -> PolicyStructure | None:
         """Return the structure of the policy, for analyses of subjects that it does not name; None if it has none."""
         return None

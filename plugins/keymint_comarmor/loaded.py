@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import comarmor
+from comarmor.errors import Diagnostic
 from comarmor.language.policy import Ruling
 from comarmor.rules import Effect
 from comarmor.values import dataclass
@@ -30,6 +31,7 @@ class ComArmorPolicy(LoadedPolicy):
     """A loaded ComArmor policy."""
 
     policy: comarmor.Policy
+    findings: Sequence[Diagnostic] = ()
     _structure: list[PolicyStructure] = field(default_factory=list, init=False, repr=False, compare=False)
     _known: dict[str, SubjectRules] = field(default_factory=dict, init=False, repr=False, compare=False)
 

@@ -47,11 +47,13 @@ def load(sources: Sequence[PolicySource], *_of_includes: object) -> ComArmorPoli
     """
     seen: dict[Path, bytes] = {}
     profiles: dict[str, Profile] = {}
+    findings: list[Diagnostic] = []
     for source in sources:
         policy = parse(source.path)
         if found := deviations(policy):
             raise KeymintError.of(found)
         seen |= policy.seen
+        findings += (each for each in _notes(policy) if each.severity is Severity.WARNING)
         for enclave in policy.enclaves:
             if enclave.path in profiles:
                 raise ComArmorError(
@@ -68,7 +70,7 @@ def load(sources: Sequence[PolicySource], *_of_includes: object) -> ComArmorPoli
             )  # fmt: skip
             name = Attachment(enclave.path, enclave.where)
             profiles[enclave.path] = Profile(enclave.path, False, (name,), (), tuple(rules), enclave.where)
-    return ComArmorPolicy(comarmor.Policy(tuple(profiles.values()), seen=MappingProxyType(seen)))
+    return ComArmorPolicy(comarmor.Policy(tuple(profiles.values()), seen=MappingProxyType(seen)), findings)
 
 
 Atom = tuple[Effect, str, str, str]
@@ -261,7 +263,8 @@ def _notes(policy: syntax.SourcePolicy) -> Iterator[Diagnostic]:
             for rules in node.lists:
                 if not rules.effects:
                     message = f"<{rules.tag}> has no qualifier, so that it allows and denies nothing"
-                    yield Diagnostic.note("sros2-no-qualifier", message, rules.where, "", enclave.path)
+                    help_ = " or ".join(f'{each}="ALLOW"' for each in syntax.PERMISSIONS[rules.tag])
+                    yield Diagnostic.warning("sros2-no-qualifier", message, rules.where, f"add {help_}", enclave.path)
                 for entry in rules.entries:
                     name = syntax.as_read(node, entry.text)
                     if rules.tag == "topics" and entry.text.strip() == "rosout" and name != "/rosout":

@@ -55,6 +55,7 @@ def lint(
     subjects = [(subject, rules_of(loaded, subject)) for subject in (*named, *others.values())]
     diagnostics = [
         *look(loaded),
+        *loaded.findings,
         # lint already reports names that nothing can have.
         *(
             diagnostic

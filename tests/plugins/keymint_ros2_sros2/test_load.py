@@ -40,6 +40,19 @@ def test_decisions(robot: Path) -> None:
     assert not loaded.decide(Edge("/other", "ros_publish", Object("ros_topic", "/x"))).allowed
 
 
+@pytest.mark.parametrize(
+    ("tag", "help_"),
+    [("topics", 'publish="ALLOW" or subscribe="ALLOW"'), ("services", 'request="ALLOW"'), ("actions", 'call="ALLOW"')],
+)
+def test_lint_finds_a_list_without_a_qualifier(keymint, tmp_path: Path, tag: str, help_: str) -> None:
+    (tmp_path / "p.xml").write_text(policy(enclave("/a", f"<{tag}><{tag[:-1]}>x</{tag[:-1]}></{tag}>")))
+    for verb in (("lint",), ("import", "-o", "new.xml")):
+        outcome = keymint(*verb, "p.xml", "--json")
+        (found,) = (each for each in outcome.document["diagnostics"] if each["code"] == "sros2-no-qualifier")
+        assert (found["severity"], found["help"].startswith(f"add {help_}")) == ("warning", True)
+    assert keymint("lint", "p.xml").code == 3
+
+
 def test_what_it_is_made_of(robot: Path) -> None:
     loaded = load(robot)
     assert loaded.rules("/other") is None

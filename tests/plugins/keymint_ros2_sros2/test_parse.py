@@ -87,10 +87,22 @@ def test_refused(write, text: str, message: str) -> None:
     assert found.where.line == 1
 
 
-def test_no_attribute_is_suggested_in_its_own_place(write) -> None:
+@pytest.mark.parametrize(
+    ("rules", "help_"),
+    [
+        ('<services call="ALLOW"/>', "expected request or reply"),
+        ('<actions request="ALLOW"/>', "expected call or execute"),
+        ('<topics call="ALLOW"/>', "expected publish or subscribe"),
+        ('<services request="ALLOW" call="ALLOW"/>', "expected reply"),
+        ('<topics publsh="ALLOW"/>', "did you mean 'publish'?"),
+        ('<topics publish="DENY" subscribe="DENY" call="DENY"/>', "remove it"),
+    ],
+)
+def test_only_attributes_of_the_element_are_suggested(write, rules: str, help_: str) -> None:
+    """Who removes a qualifier of another list loses the right that was meant."""
     with pytest.raises(ComArmorError) as caught:
-        parse(write(policy(enclave("/a", '<topics call="ALLOW"/>'))))
-    assert caught.value.diagnostics[0].help == "remove it"
+        parse(write(policy(enclave("/a", rules))))
+    assert caught.value.diagnostics[0].help == help_
 
 
 def test_an_included_element_in_the_wrong_place(write) -> None:
