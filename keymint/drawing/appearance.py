@@ -39,7 +39,7 @@ OUTCOMES = {
     EdgeOutcome.FALSE_NEGATIVE: "denied, but the policy allows it (false negative)",
     EdgeOutcome.ALLOW: "allowed",
     EdgeOutcome.DENY: "denied",
-    EdgeOutcome.UNLABELLED: "no decision",
+    EdgeOutcome.UNLABELLED: "without a decision",
 }
 """What is decided about an edge, in the order of pages."""
 

@@ -11,7 +11,6 @@ import base64
 import hashlib
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from importlib import resources
 from typing import Any
 
@@ -40,8 +39,7 @@ def html_report(labelled: LabelledGraph, sources: Mapping[str, bytes], picture: 
         sources: contents of the files of the graph's origins, by the path in the origins.
         picture: drawing options of its picture; the theme follows the reader's preference.
     """
-    options = replace(picture or DrawingOptions(), theme=Theme.AUTO)
-    page = _Page(labelled, tuple(sources), options)
+    page = _Page(labelled, tuple(sources), picture or DrawingOptions())
     style = _text("report.css") + style_sheet(Theme.AUTO)
     script = _text("report.js")
     rows = page.rows()

@@ -26,8 +26,8 @@ BOX_HEIGHT = 24.0
 PORT_DISTANCE = 9.0
 GAP = 10.0
 """Vertical distance between two boxes."""
-_PADDING = 10.0
-_BULLET = 14.0
+PADDING, BULLET = 10.0, 14.0
+"""Space beside a label, and for the dot before it."""
 _ROUNDS = 16
 _MARKED_HEIGHT = 40.0
 _NARROWEST, _WIDEST = 150.0, 460.0
@@ -147,7 +147,7 @@ def lay_out(
     x = 0.0
     for stack in stacks:
         longest = {key: max(columns(labels[key]), columns(marks.get(key, ""))) for key in stack}
-        width = max((longest[key] * CHARACTER + 2 * _PADDING + _BULLET for key in stack), default=0.0)
+        width = max((longest[key] * CHARACTER + 2 * PADDING + BULLET for key in stack), default=0.0)
         for key in stack:
             kind = "subject" if isinstance(key, str) else key[1].kind
             boxes[key] = NodeBox(key, kind, labels[key], x, tops[key], width, heights[key], marks.get(key, ""))

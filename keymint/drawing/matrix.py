@@ -12,13 +12,12 @@ from collections.abc import Mapping, Sequence
 from keymint.api.graph import DomainObject
 from keymint.drawing.appearance import columns, shorten
 from keymint.drawing.labelled_graph import LabelledEdge
-from keymint.drawing.layout import CHARACTER, EdgeLine, NodeBox, NodeKey, Panel, objects_in_order
+from keymint.drawing.layout import BULLET, CHARACTER, PADDING, EdgeLine, NodeBox, NodeKey, Panel, objects_in_order
 
 ROW = 22.0
 """Height of a row, in pixels."""
 SIGN = 21.0
 """Width of a sign with the space beside it, in pixels."""
-_PADDING, _BULLET = 10.0, 14.0
 MOST_COLUMNS = 30
 """Subjects of a matrix: the eye does not follow longer rows."""
 
@@ -38,8 +37,8 @@ def lay_out_matrix(
 
     keys: Sequence[NodeKey] = [*subjects, *objects]
     labels = {key: shorten(names[key]) + (f" ({marks[key]})" if key in marks else "") for key in keys}
-    left = max((columns(labels[key]) for key in objects), default=0) * CHARACTER + 2 * _PADDING + _BULLET
-    top = max((columns(labels[key]) for key in subjects), default=0) * CHARACTER + 2 * _PADDING
+    left = max((columns(labels[key]) for key in objects), default=0) * CHARACTER + 2 * PADDING + BULLET
+    top = max((columns(labels[key]) for key in subjects), default=0) * CHARACTER + 2 * PADDING
     width = max(ROW, SIGN * max(map(len, cells.values()), default=1) + 3)
     boxes: dict[NodeKey, NodeBox] = {}
     for at, subject in enumerate(subjects):

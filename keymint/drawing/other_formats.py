@@ -31,19 +31,20 @@ def dot_document(drawn: SimplifiedGraph) -> bytes:
     names, marks = names_of(drawn), marks_of(drawn)
     named = labelled.patterns | labelled.probes
     caption = "\n".join((labelled.title, subtitle(drawn).replace("; ", "\n"), *labelled.made))
+    title = r"\n".join(map(_escaped, caption.split("\n")))
     nodes: dict[NodeKey, str] = {subject: f"s{at}" for at, subject in enumerate(drawn.fold.subjects)}
     nodes |= {key: f"o{at}" for at, key in enumerate(sorted({one.edge.domain_object for one in edges}))}
 
     def node(key: NodeKey) -> str:
         kind = "subject" if isinstance(key, str) else key[1].kind
-        label = _quoted(names[key] + (f" ({marks[key]})" if key in marks else ""))
+        label = _escaped(names[key] + (f" ({marks[key]})" if key in marks else ""))
         shape = "ellipse" if kind == "subject" else "box"
         style = ', style="filled,dashed"' if not isinstance(key, str) and key[1] in named else ""
-        return f'label={label}, shape={shape}, fillcolor="{LIGHT[f"{kind}-fill"]}", color="{LIGHT[kind]}"{style}'
+        return f'label="{label}", shape={shape}, fillcolor="{LIGHT[f"{kind}-fill"]}", color="{LIGHT[kind]}"{style}'
 
     lines = [
         "digraph keymint {",
-        f"  graph [rankdir=LR, label={_quoted_lines(caption)}, labelloc=t, fontname=monospace]",
+        f'  graph [rankdir=LR, label="{title}", labelloc=t, fontname=monospace]',
         "  node [style=filled, fontname=monospace]",
         *(f"  {at} [{node(key)}]" for key, at in nodes.items()),
         *(
@@ -55,13 +56,9 @@ def dot_document(drawn: SimplifiedGraph) -> bytes:
     return ("\n".join(lines) + "\n").encode()
 
 
-def _quoted(text: str) -> str:
-    r"""Return a quoted string of DOT; an unescaped ``\`` starts an escape in a label."""
-    return '"' + one_line(text).replace("\\", "\\\\").replace('"', '\\"') + '"'
-
-
-def _quoted_lines(text: str) -> str:
-    return '"' + r"\n".join(_quoted(line)[1:-1] for line in text.split("\n")) + '"'
+def _escaped(text: str) -> str:
+    r"""Return the inside of a quoted string of DOT; an unescaped ``\`` starts an escape in a label."""
+    return one_line(text).replace("\\", "\\\\").replace('"', '\\"')
 
 
 def _attributes(one: LabelledEdge, labelled: LabelledGraph, options: DrawingOptions) -> str:
@@ -78,7 +75,7 @@ def _attributes(one: LabelledEdge, labelled: LabelledGraph, options: DrawingOpti
         "label": " ".join(["DANGER"] * (outcome is EdgeOutcome.FALSE_POSITIVE) + ["AUDIT"] * one.audit),
         "tooltip": sentence(one, labelled.transports),
     }
-    return ", ".join(f"{name}={_quoted(value)}" for name, value in attributes.items() if value)
+    return ", ".join(f'{name}="{_escaped(value)}"' for name, value in attributes.items() if value)
 
 
 MOST_PIXELS = 100_000_000
