@@ -24,7 +24,7 @@ from keymint.authority.examine import DECIDED_BY_A_PERSON
 from keymint.errors import KeymintError
 from keymint.examine.authorities import authorities, encryption, exposed_keys, git_exposure
 from keymint.examine.files import enclave_files_on_disk, file_status, outside_enclaves, unexpected_file
-from keymint.examine.keystore import deciding_findings, staged_keystore_session
+from keymint.examine.keystore import UNFINISHED, deciding_findings, staged_keystore_session
 from keymint.host.pool import Pool
 from keymint.life.examine import Keyring, orphan_findings, shared_keys
 from keymint.life.workspace_register import withdrawn
@@ -236,7 +236,8 @@ def check(session: Session, names: Sequence[str], within: timedelta, pool: Pool)
     if defect := next((each for each in of_authorities if each.code in DECIDED_BY_A_PERSON), None):
         help_ = f"fix {defect.where} first"  # until then installing fails
         findings = [replace(each, help=help_) if _INSTALLS.search(each.help) else each for each in findings]
-    return (*of_authorities, *of_files, *of_git, *findings, *_of_second_keystore(session, names, within, pool))
+    found = (*of_authorities, *of_files, *of_git, *findings, *_of_second_keystore(session, names, within, pool))
+    return tuple(sorted(found, key=lambda each: each.code != UNFINISHED))  # it may be the cause of others
 
 
 def _deciding(session: Session) -> Iterator[Diagnostic]:

@@ -128,7 +128,8 @@ def link(inputs: Inputs, path: Path | str, subject: str) -> Diagnostic:
 def linked_twice(inputs: Inputs, path: Path | str, subject: str) -> Iterator[Diagnostic]:
     """Yield a finding for a private key that has a second name (a hard link) somewhere."""
     status = inputs.tree.status(path)
-    if status is not None and stat.S_ISREG(status.st_mode) and status.st_nlink > 1:
+    # An interrupted run kept the keys of what it was about to replace: that run is a finding.
+    if status and stat.S_ISREG(status.st_mode) and status.st_nlink > 1 and not inputs.tree.remnants:
         yield Diagnostic.error(
             "key-linked",
             f"is a private key with {status.st_nlink} names: another one leads to it from elsewhere",

@@ -225,6 +225,9 @@ def proven_keystore(
     )
 
 
+UNFINISHED = "run-unfinished"
+
+
 def deciding_findings(session: Session) -> Iterator[Diagnostic]:
     """Yield the findings that may change what a transport decides, beside claims and trust anchors.
 
@@ -232,10 +235,12 @@ def deciding_findings(session: Session) -> Iterator[Diagnostic]:
         KeymintError: the register or a package has defects.
     """
     records = session.workspace.state
-    if journal.load(session.tree.try_read(records / journal.MARK) or b"", records).exchanges:
+    unfinished = journal.load(session.tree.try_read(records / journal.MARK) or b"", records)
+    if unfinished.exchanges or session.tree.remnants:
         message = "a run was interrupted: what it wrote may be incomplete"
-        help_ = "repeat its command; every verb that writes finishes what is visible, or drops it"
-        yield Diagnostic.warning("run-unfinished", message, session.workspace.origin(records), help_)
+        command = f"'{unfinished.command}'" if unfinished.command else "its command"
+        help_ = f"repeat {command}; every verb that writes finishes what is visible, or drops it"
+        yield Diagnostic.warning(UNFINISHED, message, session.workspace.origin(records), help_)
     yield from _not_staged(session)
     yield from lists_in_force(session)
     yield from of_enclaves(session)

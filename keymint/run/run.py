@@ -439,7 +439,7 @@ class Run:
             a reader waits for no other one.
         """
         workspace = inputs.workspace
-        if self.dry_run or state is inputs.state or state.dump() == inputs.state.dump():
+        if self.dry_run or inputs.tree.remnants or state is inputs.state or state.dump() == inputs.state.dump():
             return ()
         store = open_store(workspace)
         try:

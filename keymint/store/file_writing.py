@@ -29,10 +29,8 @@ from typing import NoReturn
 
 from comarmor.text import quote
 from keymint.store.changes import File, file_mode
-from keymint.view.file_reading import file_error
+from keymint.view.file_reading import PREFIX, SUFFIX, file_error
 
-PREFIX, SUFFIX = ".keymint-", ".tmp"
-"""Prefix and suffix of the names of temporary files and folders."""
 FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 FILE = os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
 NEW_FILE = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
@@ -54,11 +52,6 @@ def c_function(name: str) -> Callable[..., int] | None:
 def temporary() -> str:
     """Return a unique name that a sweep recognises as temporary."""
     return f"{PREFIX}{os.getpid()}-{next(_serial)}{SUFFIX}"
-
-
-def is_temporary(name: str) -> bool:
-    """Tell whether a file or folder of this name may be removed if no run is in progress."""
-    return name.startswith(PREFIX) and name.endswith(SUFFIX)
 
 
 @contextlib.contextmanager

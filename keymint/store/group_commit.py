@@ -16,10 +16,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from keymint.store.file_writing import (
     FEW,
-    SUFFIX,
     UNABLE,
     exchange_names,
-    is_temporary,
     open_at,
     reported,
     sync_file_system,
@@ -28,6 +26,7 @@ from keymint.store.file_writing import (
 )
 from keymint.store.open_folders import OpenFolders, Roots, close_to_others
 from keymint.store.staged import NOT_EMPTY, Exchange, remove_staged
+from keymint.view.file_reading import SUFFIX, is_temporary
 
 WAITING = ".next"
 """Suffix of the name of a complete new folder whose place is being cleared."""

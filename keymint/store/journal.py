@@ -19,10 +19,11 @@ from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
 from keymint.errors import KeymintError
 from keymint.names import subject_list, subject_of
-from keymint.store.file_writing import check_component, is_temporary
+from keymint.store.file_writing import check_component
 from keymint.store.group_commit import commit, waiting_name
 from keymint.store.open_folders import OpenFolders, Roots
 from keymint.store.staged import Exchange
+from keymint.view.file_reading import is_temporary
 from keymint.view.stamps import digest, sealed_document, unsealed_document
 
 MARK = "running"

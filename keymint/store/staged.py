@@ -25,7 +25,7 @@ from keymint.store import file_writing
 from keymint.store.changes import File, FolderChange
 from keymint.store.file_writing import FILE, FOLDER, NEW_FILE, open_at, reported, temporary
 from keymint.store.open_folders import OpenFolders, Roots, close_to_others
-from keymint.view.file_reading import file_error
+from keymint.view.file_reading import file_error, is_temporary
 
 _NO_LINK = {errno.EPERM, errno.EMLINK, errno.EOPNOTSUPP, errno.ENOSYS}
 """Errors where no hard link can be made: the file system has none, or the file belongs to another user."""
@@ -309,7 +309,7 @@ def _carry(old: int, new: int, shown: str, content: FolderContent, carried: dict
     mount = file_writing.mount_of(old)
     for entry in sorted(os.scandir(old), key=lambda entry: entry.name):
         name = entry.name
-        if file_writing.is_temporary(name):
+        if is_temporary(name):
             continue
         if entry.is_dir(follow_symlinks=False):
             if name in content.removed:

@@ -27,11 +27,12 @@ from time import sleep  # waits, and does not tell the time
 
 from keymint.store import journal
 from keymint.store.changes import File, FolderChange
-from keymint.store.file_writing import FILE, is_temporary, reported
+from keymint.store.file_writing import FILE, reported
 from keymint.store.group_commit import commit
 from keymint.store.journal import Journal
 from keymint.store.open_folders import OpenFolders, Roots
 from keymint.store.staged import Exchange, Staging, remove_staged
+from keymint.view.file_reading import is_temporary
 from keymint.view.stamps import MAX_RECORD
 from keymint.view.tree import read_file
 
@@ -128,6 +129,8 @@ class Store:
         self._mark = records / journal.MARK
         self._locks = contextlib.ExitStack()
         self._journal: Journal | None = None
+        self._is_new = False
+        """The folder of records was new when the lock was taken."""
         self.missing: tuple[str, ...] = ()
         """The private folders that were missing when the lock was taken."""
 
@@ -143,6 +146,7 @@ class Store:
         with contextlib.ExitStack() as self._locks:
             with OpenFolders(self._roots) as folders, reported(self._records / LOCK):
                 records = folders.open(str(self._records))
+                self._is_new = not os.path.lexists(self._records / LOCK)
                 lock = os.open(LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644, dir_fd=records)
                 self._locks.callback(os.close, lock)
                 wait_for_lock(lock, fcntl.LOCK_EX, on_wait)
@@ -207,8 +211,9 @@ class Store:
             KeymintError: the system refuses; it can be tried again.
         """
         marked = self.is_marked()
-        # A run that is killed while it sets its mark leaves temporary files in the folder of records only.
-        roots = [*self._roots.private] if marked else [str(self._records)]
+        # A run that is killed while it sets its mark leaves temporary files in the folder of records only. Without that
+        # folder nothing tells whether a run ended.
+        roots = [*self._roots.private] if marked or self._is_new else [str(self._records)]
         found = None
         if marked:
             found = journal.load(read_file(self._mark, MAX_RECORD) or b"", self._records)

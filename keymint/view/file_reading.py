@@ -19,6 +19,14 @@ REGISTER = "register.sqlite3"
 MAX_REGISTER = 64 * MAX_FILE
 """Largest register that is read, in bytes."""
 
+PREFIX, SUFFIX = ".keymint-", ".tmp"
+"""Prefix and suffix of the names of temporary files and folders of a run that writes."""
+
+
+def is_temporary(name: str) -> bool:
+    """Tell whether a file or folder of this name may be removed if no run is in progress."""
+    return name.startswith(PREFIX) and name.endswith(SUFFIX)
+
 
 def read_file(path: Path | str, most: int | None = None) -> bytes | None:
     """Return the bytes of a regular file, or None if there is none; arguments and errors as :func:`read_open_file`."""

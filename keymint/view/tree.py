@@ -18,7 +18,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 from comarmor.values import dataclass
 from keymint.errors import KeymintError
 from keymint.view import file_reading
-from keymint.view.file_reading import MAX_FILE, REGISTER, FileStatus, linked_file, lstat, read_error, read_file
+from keymint.view.file_reading import (
+    MAX_FILE,
+    REGISTER,
+    FileStatus,
+    is_temporary,
+    linked_file,
+    lstat,
+    read_error,
+    read_file,
+)
 from keymint.view.stamps import CompactMapping, digest
 
 if TYPE_CHECKING:
@@ -103,6 +112,8 @@ class Tree:
         self._links: set[str] = set()
         """Symbolic links among the paths whose status is known."""
         self._left_out: set[str] = set()
+        self.remnants: set[str] = set()
+        """What an interrupted run was about to put into folders that were listed; it counts as absent."""
         self._held: tuple[str, ...] = ()
         """Folders that were read completely, with a slash."""
         self._files: dict[str, Mapping[str, Content]] = {}
@@ -369,8 +380,12 @@ class Tree:
             return known
         try:
             with os.scandir(folder) as entries:
-                return dict(sorted((entry.name, entry.is_dir(follow_symlinks=False)) for entry in entries))
+                found = dict(sorted((entry.name, entry.is_dir(follow_symlinks=False)) for entry in entries))
         except (FileNotFoundError, NotADirectoryError):
             return {}
         except OSError as error:
             raise read_error(folder, error) from error
+        for name in [*filter(is_temporary, found)]:
+            self.remnants.add(f"{folder}/{name}")
+            del found[name]
+        return found

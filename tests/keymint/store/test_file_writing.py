@@ -17,13 +17,13 @@ from keymint.store.file_writing import (
     FOLDER,
     check_component,
     create,
-    is_temporary,
     make_folder,
     reported,
     require_regular,
     temporary,
 )
 from keymint.store.group_commit import waiting_name
+from keymint.view.file_reading import is_temporary
 
 
 @pytest.fixture
