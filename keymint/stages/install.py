@@ -147,7 +147,12 @@ class InstallStage(PackageStage):
         changes = installed_enclaves.EnclaveChanges(changed, frozenset((*removed, *withdrawn)))
         scripts, foreign = plan_scripts(session, installed_enclaves.build_types_in_use(session, changes))
         copies = [] if self._keeps_copies(changes) else installed_enclaves.shared_copies(session, changes)
-        steps = [*steps_of(shared), *installed_enclaves.shared_steps(session, copies), *scripts, *steps_of(planned)]
+        steps = [
+            *steps_of(shared),
+            *installed_enclaves.shared_steps(session, copies, changes),
+            *scripts,
+            *steps_of(planned),
+        ]
         diagnostics = [*(diagnostic for each in planned for diagnostic in each.diagnostics), *foreign]
         diagnostics += _outdated(session, [each.name for each in planned if each.outdated])
         diagnostics += (diagnostic for each in shared for diagnostic in each.diagnostics)

@@ -241,17 +241,33 @@ def build_types_in_use(session: Session, changes: EnclaveChanges = NO_CHANGES) -
     return sorted({build_type for of_package in of_packages for build_type in of_package})
 
 
-def shared_steps(session: Session, by_type: Iterable[Mapping[str, Artifact]]) -> list[Step]:
-    """Return the steps that write the shared files of each build type, which :func:`shared_copies` returns."""
+def shared_steps(session: Session, by_type: Iterable[Mapping[str, Artifact]], changes: EnclaveChanges) -> list[Step]:
+    """Return the steps that write the shared files of each build type, which :func:`shared_copies` returns.
+
+    One that an enclave has by a link, and goes on to have so, stays: the enclave would change with it.
+    """
     steps = []
     for copies in by_type:
         files = {path: File(each.content, secret=each.secret, replaces_link=True) for path, each in copies.items()}
         written = folder_changes(session.tree, session.workspace.install, files)
+        if written and (linked := set(_linked(session, changes))):
+            files = {path: each for path, each in files.items() if str(session.workspace.install / path) not in linked}
+            written = folder_changes(session.tree, session.workspace.install, files)
         if written:
             existed = any(session.tree.read(session.workspace.install / path) for path in files)
             action = Action.UPDATED if existed else Action.CREATED
             steps.append(Step(INSTALLED, "", action, written, "shared by all enclaves"))
     return steps
+
+
+def _linked(session: Session, changes: EnclaveChanges) -> Iterator[str]:
+    """Yield the files that links in enclaves lead to which stay after some changes."""
+    for name in frozenset(enclave_names(session)) - changes.removed:
+        new = changes.changed[name][1] if name in changes.changed else {}
+        for file in files_in(session, name):
+            target = session.tree.follows(path := f"{session.enclave_folder(name)}/{file}")
+            if target and (file not in new or new[file].content == session.tree.read(path)):
+                yield target
 
 
 def obsolete_steps(session: Session, by_type: Iterable[Mapping[str, Artifact]], steps: Iterable[Step]) -> list[Step]:

@@ -365,3 +365,22 @@ def test_an_edited_policy_is_noticed(keymint, tmp_path: Path) -> None:
     complete(keymint("create", "--all", "-w", "ws"))
     assert keymint("build", "-w", "ws", "--json").codes() == []
     complete(keymint("install", "-w", "ws"))
+
+
+@pytest.mark.parametrize("lost", ["talker", "robot1/listener"])
+def test_an_enclave_that_is_installed_again_changes_no_other_one_behind_its_links(
+    keymint, tmp_path: Path, lost: str
+) -> None:
+    """What it gets is signed again; the file that others have by links stays as they were given it."""
+    made(tmp_path / "ks")
+    (tmp_path / "policy.xml").write_text(POLICY)
+    complete(keymint("adopt", "ks", "policy.xml", "--apply", "-w", "ws"))
+    before = files(tmp_path / "ws/install")
+    shutil.rmtree(tmp_path / "ws/install/enclaves" / lost)
+    complete(keymint("install", "-w", "ws"))
+    assert "file-changed" not in keymint("check", "-w", "ws", "--json").codes()
+    after = files(tmp_path / "ws/install")
+    assert {path for path in before if after.get(path) != before[path]} == {
+        path for path in before if path.startswith(f"enclaves/{lost}/") and after.get(path) != before[path]
+    }
+    assert "nothing to do" in complete(keymint("install", "-w", "ws"))
