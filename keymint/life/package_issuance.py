@@ -148,7 +148,7 @@ def plan_revocation(session: Session, names: Sequence[str], reason: str) -> Revo
 def _require_known(session: Session, register: Register, name: str) -> None:
     if register.of(name):
         return
-    known = sorted({each.name for each in register.certificates.values() if each.name})
+    known = {each.name for each in register.certificates.values() if each.name and name not in session.packages()}
     raise KeymintError(
         f"{subject_of(name)} never had a certificate here",
         where=session.package_marker(name) if name in session.packages() else None,

@@ -21,7 +21,8 @@ from keymint.errors import KeymintError
 
 SUPERSEDED = "superseded"
 """The reason of a revocation after which the same key may be certified again."""
-REASONS = (SUPERSEDED, "key-compromise", "retired", "affiliation-changed", "privilege-withdrawn", "unspecified")
+UNKNOWN = "unspecified"
+REASONS = (SUPERSEDED, "key-compromise", "retired", "affiliation-changed", "privilege-withdrawn", UNKNOWN)
 """Reasons of a revocation (RFC 5280, 5.3.1); ``retired`` is its cessationOfOperation."""
 
 

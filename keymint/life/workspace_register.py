@@ -14,9 +14,9 @@ from comarmor.errors import Origin
 from keymint.api import BuildType, Package
 from keymint.authority import authority_files
 from keymint.errors import KeymintError
-from keymint.life.register import IssuedCertificate, Register, SignedRights, loaded_register, register_file
+from keymint.life.register import UNKNOWN, IssuedCertificate, Register, SignedRights, loaded_register, register_file
 from keymint.names import subject_of
-from keymint.pki import certificates, revocation_lists, smime
+from keymint.pki import certificates, keys, revocation_lists, smime
 from keymint.pki.distinguished_names import to_text
 from keymint.store.changes import FolderChange, secret_file
 from keymint.workspace.installed_enclaves import enclave_files, enclave_names, installed_certificate, with_sources
@@ -51,8 +51,8 @@ def withdrawn(session: Session) -> Mapping[str, str]:
     """
     register, there = register_of(session), frozenset(enclave_names(session))
     gone = [name for name in session.packages() if name not in there]
-    if session.tree.is_left_out(session.workspace.register):  # each revocation raises the generation in the sources
-        return {name: "for a reason that is not examined" for name in gone if session.issuance(name).generation}
+    if not has_register(session):  # each revocation raises the generation in the sources
+        return {name: "for a reason that is not known" for name in gone if session.issuance(name).generation}
     found = {name: register.withdrawn(name) for name in gone}
     return {name: reason for name, reason in found.items() if reason}
 
@@ -165,10 +165,12 @@ def _restored(session: Session, *, lossy: bool) -> Register:
         KeymintError: a package was revoked, but no list has a serial number of it, or the certificate with this number
             is not known; then it is not known which key must not be certified again.
     """
-    register = Register(is_whole=not enclave_names(session)).with_issued(_found(session, enclave_names(session)))
+    there = enclave_names(session)
+    lost = [name for name in session.packages() if session.issuance(name).generation]
+    register = Register(is_whole=not (there or lost)).with_issued(_found(session, there))
     register = register.with_rights(_rights_found(session))
-    generations = {name: session.issuance(name).generation for name in session.packages()}
-    lost = [name for name, generation in generations.items() if generation]
+    gone = frozenset(lost).difference(there) if lossy else ()
+    register = register.with_issued(_barred(session, number, name) for number, name in enumerate(sorted(gone), 1))
     for file, name, authority in authority_files.issuers(session):
         path = session.workspace.revocation_list(file)
         content = session.tree.read(path) or (_installed_list(session, authority) if lossy else None)
@@ -190,10 +192,26 @@ def _restored(session: Session, *, lossy: bool) -> Register:
             f"the register of issued certificates is missing, and {who}: its keys and certificates cannot be told",
             where=session.workspace.origin(session.workspace.register),
             help="restore it from a backup; or 'keymint crl --rebuild' makes it again: what the revocation lists here "
-            "have stays revoked, but a key that was revoked as compromised may be certified again",
+            "have stays revoked, and packages that were revoked and have no enclave need 'keymint renew --rekey'; other "
+            "keys that were revoked as compromised may be certified again",
             code="register-lost",
         )
     return register
+
+
+def _barred(session: Session, number: int, name: str) -> IssuedCertificate:
+    """Return an entry that bars the key of a package that was revoked: which certificate and why is not known.
+
+    Raises:
+        KeymintError: the key cannot be read.
+    """
+    own, path = session.issuance(name), session.workspace.identity_key(name)
+    pem = session.tree.read(path)
+    key = keys.fingerprint_of_file(pem) if pem else ""
+    if own.public_key:
+        key = keys.fingerprint(keys.public_from_pem(own.public_key, session.package_marker(name)))
+    at = session.now
+    return IssuedCertificate("", number, "", name, own.generation - 1, at, at, key, revoked=at, reason=UNKNOWN)
 
 
 def _installed_list(session: Session, authority: x509.Certificate) -> bytes | None:

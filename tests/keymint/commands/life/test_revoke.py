@@ -194,6 +194,25 @@ def test_a_lost_register_with_revocations_is_the_owners_decision(provisioned: Pa
     assert {each.serial_number for each in after} > {each.serial_number for each in before}
 
 
+def test_a_register_made_again_bars_the_keys_of_what_was_revoked(provisioned: Path, keymint) -> None:
+    keymint("revoke", "talker", "--reason", "key-compromise", cwd=provisioned)
+    key = (provisioned / "private/identities/talker/key.pem").read_bytes()
+    (provisioned / "private/register.sqlite3").unlink()
+    lost = keymint("check", cwd=provisioned)
+    assert "enclave-missing" not in lost.err
+    assert keymint("install", "talker", cwd=provisioned).code == 1
+    assert keymint("crl", "--rebuild", cwd=provisioned).code == 0
+    assert "was revoked" in keymint("check", "-v", cwd=provisioned).err
+    keymint("install", "talker", cwd=provisioned)
+    keymint("provision", "-f", cwd=provisioned)
+    assert not (provisioned / "install/enclaves/talker").exists()
+    again = keymint("revoke", "talker", "--reason", "key-compromise", cwd=provisioned)
+    assert "already (unspecified)" in again.err
+    assert keymint("renew", "--rekey", "talker", cwd=provisioned).code == 0
+    assert (provisioned / "private/identities/talker/key.pem").read_bytes() != key
+    assert keymint("check", cwd=provisioned).code == 0
+
+
 def test_an_old_register_does_not_take_revocations_back(provisioned: Path, keymint) -> None:
     register = provisioned / "private/register.sqlite3"
     old = register.read_bytes()
