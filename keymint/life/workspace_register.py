@@ -192,8 +192,8 @@ def _restored(session: Session, *, lossy: bool) -> Register:
             f"the register of issued certificates is missing, and {who}: its keys and certificates cannot be told",
             where=session.workspace.origin(session.workspace.register),
             help="restore it from a backup; or 'keymint crl --rebuild' makes it again: what the revocation lists here "
-            "have stays revoked, and packages that were revoked and have no enclave need 'keymint renew --rekey'; other "
-            "keys that were revoked as compromised may be certified again",
+            "have stays revoked, and packages that were revoked and have no enclave need 'keymint renew --rekey'; "
+            "other keys that were revoked as compromised may be certified again",
             code="register-lost",
         )
     return register
