@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import islice
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin
@@ -33,8 +32,8 @@ def confirmed_plan(
 ) -> Plan:
     """Return the plan of some work, once the user agrees to what it takes away; see :meth:`Run.confirm`.
 
-    A dry run shows who gains and loses which right. What cannot be read stops nobody, unless nothing is left after it:
-    an enclave that was damaged must stay easy to restore.
+    A dry run shows who gains and loses which right, any other run how many. What cannot be read stops nobody, unless
+    nothing is left after it: an enclave that was damaged must stay easy to restore.
 
     Args:
         run: the run; its result gets the rights.
@@ -58,12 +57,19 @@ def confirmed_plan(
 
     def show() -> None:
         if rights:
-            lines = (*as_text(rights, run.place), summary(rights))
-            run.console.lines(islice(lines, None if run.dry_run else _LINES))
+            lines = [*as_text(rights, run.place)]
+            most = len(lines) if run.dry_run or run.verbosity > 0 else _LINES
+            cut = (
+                [f"… and {quantity(len(lines) - most, 'line')} more; --dry-run shows all"] if len(lines) > most else []
+            )
+            run.console.lines((*lines[:most], *cut, summary(rights)))
 
-    if run.dry_run:
+    asked = (*reasons, *_losses(work, rights, "" if run.dry_run else "--dry-run shows which"))
+    told = run.confirm(asked, show)
+    if run.dry_run or (run.verbosity > 0 and (run.yes or not asked)):
         show()
-    told = run.confirm((*reasons, *_losses(work, rights)), show)
+    elif rights and (run.yes or not asked):
+        run.console.line(f"{summary(rights)} (-v shows which; --dry-run does so before)")
     return plan.noting(*told, *_unread(rights))
 
 
@@ -92,8 +98,8 @@ def another_policy(
     return (Diagnostic.warning("policy-replaced", message, where, help_),)
 
 
-def _losses(work: Work, rights: Sequence[SubjectChanges]) -> Iterator[Diagnostic]:
-    """Yield what the user must agree to."""
+def _losses(work: Work, rights: Sequence[SubjectChanges], more: str) -> Iterator[Diagnostic]:
+    """Yield what the user must agree to; the second text says what shows more."""
     if stripped := [each.subject for each in rights if not each.after]:
         of_whom = stripped[0] if len(stripped) == 1 else f"{len(stripped)} subjects: {subject_list(stripped)}"
         help_ = "is it the right policy? name them in it; 'keymint remove' is for those that are gone"
@@ -104,7 +110,7 @@ def _losses(work: Work, rights: Sequence[SubjectChanges]) -> Iterator[Diagnostic
         total = len({*enclave_names(work.session)}.difference(work.session.infrastructure(), new))
         if len(losing) * SHARE >= total:
             message = f"this takes rights from {len(losing)} of {quantity(total, 'subject')}: {subject_list(losing)}"
-            yield Diagnostic.warning("rights-lost", message, None, "--dry-run shows which")
+            yield Diagnostic.warning("rights-lost", message, None, more)
 
 
 def _unread(rights: Sequence[SubjectChanges]) -> Iterator[Diagnostic]:

@@ -267,13 +267,17 @@ class Run:
             show: shows more about it, before the question or the errors.
 
         Returns:
-            The reasons, to be told with the plan; none if they were shown with the question.
+            The reasons, to be told with the plan, by a dry run also that the run would ask; none if they were shown with
+            the question.
 
         Raises:
             UnconfirmedError: nobody agreed; exit code 3, with the reasons as errors.
         """
         if self.yes or self.dry_run:
-            return tuple(reasons)
+            stops = Diagnostic.warning(
+                "not-confirmed", "the run itself asks first", None, "if this is wanted, add --yes"
+            )
+            return (*reasons, *([stops] if reasons and not self.yes else ()))
         if self._agreed.issuperset(reasons):
             return ()
         show()

@@ -214,6 +214,41 @@ def test_processes_find_the_same(ws: Fleet) -> None:
     assert ws.provision("-j", 2, "--yes").code == 0
 
 
+def test_a_run_says_how_many_gain_and_lose(ws: Fleet) -> None:
+    ws.start(TALKERS)
+    more = {**TALKERS, "/talker": ["publish /chatter", "publish /image"]}
+    ws.write(more)
+    line = "1 subject gains, 1 loses (-v shows which; --dry-run does so before)\n"
+    assert ws.provision().out.startswith(line)
+    assert ws.provision().out.startswith("nothing to do")
+    ws.write({**more, "/talker": ["publish /chatter"], "/new": ["publish /x"]})
+    shown = ws.provision("-v").out
+    assert shown.startswith("/talker:\n  - ros_publish /image (")
+    assert "\nno subjects gain, 1 loses\n" in shown
+    ws.write({**more, "/talker": []})
+    assert ws.provision("--yes").out.startswith("no subjects gain, 2 lose (")
+
+
+def test_a_dry_run_says_that_the_run_would_ask(ws: Fleet) -> None:
+    ws.start(fleet(5))
+    ws.write(fleet(5, losing=5))
+    dry = ws.provision("--dry-run")
+    assert (dry.code, "--dry-run" in dry.err) == (0, False)
+    assert "warning: the run itself asks first (if this is wanted, add --yes) [not-confirmed]" in dry.err
+    assert "not-confirmed" not in ws.provision("--dry-run", "--yes").err
+    ws.write(fleet(5, losing=4))
+    assert "not-confirmed" not in ws.provision("--dry-run").err
+
+
+def test_a_stop_says_how_many_lines_it_leaves_out(ws: Fleet) -> None:
+    ws.start(fleet(30))
+    ws.write(fleet(30, losing=30))
+    lines = ws.provision().out.splitlines()
+    assert lines[-2:] == ["… and 20 lines more; --dry-run shows all", "no subjects gain, 30 lose"]
+    assert len(lines) == 42
+    assert len(ws.provision("-v").out.splitlines()) == 61
+
+
 # -- when it stops -----------------------------------------------------------------------------------------------------
 
 

@@ -70,5 +70,7 @@ def test_nothing_is_asked_without_a_terminal_or_quietly(tmp_path: Path, options:
 def test_who_agreed_before_and_a_dry_run_are_only_told(tmp_path: Path, option: str) -> None:
     outcome = lose(tmp_path, option)
     assert (outcome.code, outcome.out) == (0, "done\n")
-    assert outcome.err.endswith("warning: /talker loses its rights [rights-lost]\n")
+    asks = "warning: the run itself asks first (if this is wanted, add --yes) [not-confirmed]\n"
+    told = "warning: /talker loses its rights [rights-lost]\n"
+    assert outcome.err.endswith(told + asks if option == "--dry-run" else told)
     assert "Go on" not in outcome.err
