@@ -267,8 +267,8 @@ class Run:
             show: shows more about it, before the question or the errors.
 
         Returns:
-            The reasons, to be told with the plan, by a dry run also that the run would ask; none if they were shown with
-            the question.
+            The reasons, to be told with the plan; of a dry run also that the run would ask. None if they were shown
+            with the question.
 
         Raises:
             UnconfirmedError: nobody agreed; exit code 3, with the reasons as errors.
