@@ -114,7 +114,7 @@ class Client:
         """Issue again what is due; see ``keymint renew``.
 
         Args:
-            subjects: the subjects, which are renewed in any case; all that are due if there are none.
+            subjects: the subjects, renewed at any time but on the day of issue; all that are due if there are none.
             threshold: when something is due: after a part of its validity, or a time before its end.
             rekey: make new keys.
 

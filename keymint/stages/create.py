@@ -91,15 +91,20 @@ def plan_policy(session: Session, policy: str) -> Plan:
     return Plan((Step(INIT, "", Action.UPDATED, changes, f"policy {policy}"),), session.state)
 
 
-def other_domain(session: Session) -> tuple[Diagnostic, ...]:
-    """Return a warning if nodes that start with these environment variables use a domain that nothing is signed for."""
-    asked = session.environment.get("ROS_DOMAIN_ID", "")
+def other_domain(session: Session, default: str = "") -> tuple[Diagnostic, ...]:
+    """Return a warning if nodes that start with these environment variables use a domain that nothing is signed for.
+
+    Without ``ROS_DOMAIN_ID`` their domain is the default; empty if no node starts here, or not with these variables.
+    """
+    given = session.environment.get("ROS_DOMAIN_ID", "")
+    asked = given or default
     own = session.profile_type.settings(session.profile).get("domain", "") if asked else ""
     ranges = [each.strip().partition("-") for each in own.split(",") if each.strip()]
     known = asked.isdecimal() and any(int(first) <= int(asked) <= int(last or first) for first, _, last in ranges)
     if not ranges or known:
         return ()
-    message = f"ROS_DOMAIN_ID is {quote(asked)}, but the workspace is for domain {own}: nodes that start so are refused"
+    is_ = quote(given) if given else f"not set, which means {default}"
+    message = f"ROS_DOMAIN_ID is {is_}, but the workspace is for domain {own}: nodes that start so are refused"
     help_ = f"set ROS_DOMAIN_ID to {own} where nodes start, or change the workspace with 'keymint set domain'"
     place = session.workspace.profile / next(iter(session.profile_type.PLACES.get("domain", ())), PROFILE_MARKER)
     return (Diagnostic.warning("domain-environment", message, session.workspace.origin(place), help_),)

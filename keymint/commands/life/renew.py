@@ -58,8 +58,8 @@ def renew(
     """Renew certificates and permissions that are due, for the same keys; nothing else changes.
 
     Due is what the certificate, the permissions or the revocation list of an enclave say, whichever comes first. NAME
-    is a package, which is renewed in any case [all that are due]. Deploy the renewed enclaves and restart their
-    processes before the old documents end; all others go on as they are.
+    is a package, renewed at any time but on the day of issue, when the dates would stay [all that are due]. Deploy the
+    renewed enclaves and restart their processes before the old documents end; all others go on as they are.
 
     An authority is reported when it is due, and never renewed on the way.
 

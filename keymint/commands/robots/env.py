@@ -50,4 +50,4 @@ def env(
     values = enclave_environment(session, name)
     run.console.document(exports(values, shell).encode(errors="surrogateescape"))
     result = {"enclave": subject, "variables": dict(values)}
-    return run.report(result, other_domain(session), workspace=session.workspace)
+    return run.report(result, other_domain(session, "0"), workspace=session.workspace)

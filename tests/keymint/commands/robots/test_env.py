@@ -88,3 +88,18 @@ def test_both_transports(keymint, policy: Path, tmp_path: Path) -> None:
     assert values["ROS_SECURITY_ENCLAVE_OVERRIDE"] == "/talker"
     router = keymint("env", "zenoh_router", "-w", "both", "--json").document["result"]["variables"]
     assert router == {"ZENOH_ROUTER_CONFIG_URI": f"{install}/zenoh/router.json5"}
+
+
+def test_without_a_domain_a_node_starts_in_0(keymint, ws: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
+    assert keymint("env", "/talker", "-w", "ws").err == ""
+    assert keymint("set", "domain", "5", "-w", "ws").code == 0
+    warned = keymint("env", "/talker", "-w", "ws")
+    assert (
+        warned.code,
+        "ROS_DOMAIN_ID is not set, which means 0, but the workspace is for domain 5" in warned.err,
+    ) == (
+        0,
+        True,
+    )
+    assert keymint("env", "/talker", "-w", "ws", env={"ROS_DOMAIN_ID": "5"}).err == ""
