@@ -7,6 +7,7 @@ import hashlib
 import os
 import stat
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ from comarmor.errors import Origin
 from keymint import __version__
 from keymint.api import LoadedPolicy
 from keymint.errors import KeymintError
+from keymint.output.report import Report
 from keymint.run.run import Run
 from keymint.store.changes import File
 from keymint.store.user_files import write_files
@@ -81,6 +83,23 @@ def write_outputs(
     if not run.dry_run:
         write_files(folder, changed, run.console.waiting, wanted)
     return [str(path.parent / place.relative_to(folder)) for place in changed]
+
+
+def write_errors(run: Run, path: Path, kind: str, report: Report) -> Report:
+    """Write the errors of a verb as SARIF or JUnit XML; return its report, with another error if that fails."""
+    from keymint.output.junit import JUnitCase, junit  # noqa: PLC0415 - few runs fail
+    from keymint.output.sarif import of_diagnostics, sarif  # noqa: PLC0415
+
+    tool, found = f"keymint {report.verb}", run.presented(report).diagnostics
+    cases = [JUnitCase(run.place(each.where) or tool, each.code, (each.code, str(each)), str(each)) for each in found]
+    try:
+        is_sarif = kind == "sarif"
+        write_outputs(
+            run, path, sarif(tool, {}, of_diagnostics(found), run.typed) if is_sarif else junit(tool, {tool: cases})
+        )
+    except KeymintError as error:
+        return replace(report, diagnostics=(*report.diagnostics, *error.diagnostics))
+    return report
 
 
 def replace_inputs(run: Run, changed: Mapping[Path, tuple[bytes, bytes]]) -> None:

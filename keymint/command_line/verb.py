@@ -89,9 +89,10 @@ def verb(
                 require_known_plugins(context, run.plugins)
                 report = function(run, **options)
             except UnacceptedPackagesError as error:
-                report = _unaccepted_report(run, error)
+                report = _in_result_files(run, options, _unaccepted_report(run, error))
             except KeymintError as error:
                 report = run.report(run.result, error.diagnostics, error.exit_code, workspace=run.known_workspace)
+                report = _in_result_files(run, options, report)
             report = replace(report, diagnostics=(*report.diagnostics, *filter(None, hints)))
             run.console.show(run.presented(run.told(report)))
             context.exit(int(report.exit_code))
@@ -143,6 +144,16 @@ def _defaults(context: click.Context, setting: Setting, verb: str) -> tuple[dict
         return with_defaults(context, verb, defaults) | before | {"defaults": defaults}, None
     except KeymintError as error:
         return before, error
+
+
+def _in_result_files(run: Run, options: Mapping[str, Any], report: Report) -> Report:
+    """Write the errors of a verb to the files of results that the user named: none of an earlier run stays there."""
+    for kind in ("sarif", "junit"):
+        if path := options.get(kind):
+            from keymint.command_line.named_files import write_errors  # noqa: PLC0415 - few runs have such a file
+
+            report = write_errors(run, path, kind, report)
+    return report
 
 
 def _unaccepted_report(run: Run, error: UnacceptedPackagesError) -> Report:
