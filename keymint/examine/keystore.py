@@ -286,6 +286,8 @@ def not_examined(inputs: Inputs) -> Iterator[Diagnostic]:
     """Yield a note for each entry of the private space that was left out, or has something in it that was."""
     private, register = inputs.workspace.private, inputs.workspace.register
     reasons = {str(private): f"{_KEYS}, and {_REGISTER}", str(register): _REGISTER}
-    for path in dict.fromkeys("/".join(each.split("/")[: len(private.parts) + 1]) for each in inputs.tree.left_out):
+    left_out = dict.fromkeys("/".join(each.split("/")[: len(private.parts) + 1]) for each in inputs.tree.left_out)
+    left_out.pop(str(inputs.workspace.log), None)
+    for path in left_out:
         message, where = f"not examined: {reasons.get(path, _KEYS)}", inputs.workspace.origin(path)
         yield Diagnostic.note("not-examined", message, where, "a user who may read it examines it as well")

@@ -23,8 +23,6 @@ from keymint.view.tree import Tree
 from keymint.workspace.session import Inputs
 from keymint.workspace.workspace import Workspace
 
-LOG = "runs.jsonl"
-"""Name of the file in the private space."""
 MOST_RUNS, MOST_BYTES = 1000, 1 << 18
 """The most runs in a log, and its largest size; the oldest runs go."""
 _MOST_NAMES, _LONGEST = 20, 1000
@@ -54,7 +52,7 @@ def log_change(
     if not plan.writes() or not (os.access(private, os.W_OK | os.X_OK) or any(writes_there)):
         return ()
     try:
-        lines = (inputs.tree.read(workspace.private / LOG) or b"").splitlines()[-MOST_RUNS + 1 :]
+        lines = (inputs.tree.read(workspace.log) or b"").splitlines()[-MOST_RUNS + 1 :]
     except KeymintError:  # it is a link, or of another user: what the run was asked for comes first
         return ()
     changing = [step for step in plan.steps if step.writes()]
@@ -72,7 +70,7 @@ def log_change(
     lines.append(json.dumps(encodable_value(entry)).encode())
     while sum(map(len, lines)) + len(lines) > MOST_BYTES:
         del lines[0]
-    return (secret_file(workspace.private / LOG, b"\n".join(lines) + b"\n"),)
+    return (secret_file(workspace.log, b"\n".join(lines) + b"\n"),)
 
 
 def logged_runs(tree: Tree, workspace: Workspace) -> list[Mapping[str, Any]]:
@@ -81,7 +79,7 @@ def logged_runs(tree: Tree, workspace: Workspace) -> list[Mapping[str, Any]]:
     Raises:
         KeymintError: it cannot be read.
     """
-    return [run for line in (tree.read(workspace.private / LOG) or b"").splitlines() if (run := _run(line))]
+    return [run for line in (tree.read(workspace.log) or b"").splitlines() if (run := _run(line))]
 
 
 def _run(line: bytes) -> Mapping[str, Any] | None:

@@ -123,6 +123,11 @@ class Workspace:
         return self.private / REGISTER
 
     @property
+    def log(self) -> Path:
+        """The log of runs, by which nothing is decided."""
+        return self.private / "runs.jsonl"
+
+    @property
     def identities(self) -> str:
         """The folder of the private keys of subjects."""
         return f"{self.private}/identities"

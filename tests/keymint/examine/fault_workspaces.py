@@ -129,7 +129,7 @@ def _narrowed(bench: Bench, place: Path) -> None:
     _provision(bench, place)
     bench.keep(place, 0)
     (place / "policy.xml").write_text(POLICY)
-    _provision(bench, place)
+    _provision(bench, place, "--yes")
 
 
 def _revoked(bench: Bench, place: Path) -> None:

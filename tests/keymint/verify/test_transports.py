@@ -91,7 +91,7 @@ def test_a_choice_may_name_one_that_is_not_tested_by_default_and_repeat_itself()
     [
         (INSTALLED, ("missing",), Tier.DECISION, "transport-unusable", "apt-get install it", ExitCode.FAILURE),
         (INSTALLED, ("real", "omg"), Tier.EXCHANGE, "transport-tier", "it supports decision", ExitCode.USAGE),
-        (INSTALLED, ("omg", "other"), Tier.DECISION, "transport-foreign", "-t missing or -i omg", ExitCode.USAGE),
+        (INSTALLED, ("omg", "other"), Tier.DECISION, "transport-foreign", "-i missing or -i omg", ExitCode.USAGE),
         (plugins(), (), Tier.DECISION, "transport-none", "'keymint transports'", ExitCode.FAILURE),
     ],
 )
