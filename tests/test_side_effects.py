@@ -27,9 +27,10 @@ STARTERS = {
     "keymint/host/vendor_process.py",
     "keymint/host/streams_and_signals.py",
     "keymint/host/git.py",
+    "keymint/host/pool.py",
     "keymint/commands/tool/completion.py",
 }
-"""Run probes of the vendors, git, or the shell that the completion script is for."""
+"""Run probes of the vendors, git, copies of this process, or the shell that the completion script is for."""
 READERS = ("keymint/examine/", "keymint/stages/", "keymint/life/", "keymint/authority/", "keymint/verify/")
 
 POLICY = "ws/profile/comarmor.d"

@@ -9,8 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from keymint.run.run_log import LOG, MOST_BYTES, MOST_RUNS
+from keymint.run.run_log import MOST_BYTES, MOST_RUNS
 from tests.conftest import NOW, snapshot
+
+
+LOG = "runs.jsonl"
 
 
 def lines_of(workspace: Path) -> list[dict]:
