@@ -12,7 +12,6 @@ import pytest
 from keymint.run.run_log import MOST_BYTES, MOST_RUNS
 from tests.conftest import NOW, snapshot
 
-
 LOG = "runs.jsonl"
 
 
