@@ -58,6 +58,7 @@ class Form:
         period: the period of all grants, in place of the certificate's.
         days: how long certificates are valid, in days from ``now``.
         now: when it is made.
+        seconds_later: how much later than the authorities the enclaves are made.
         common_names: common names of certificates, by enclave, where they are not the path.
     """
 
@@ -70,6 +71,7 @@ class Form:
     period: tuple[str, str] | None = None
     days: int = DAYS
     now: datetime = datetime(2026, 1, 1, tzinfo=UTC)
+    seconds_later: int = 0
     common_names: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -304,6 +306,7 @@ def _certificate(common_name: str, issuer: _Credential | None, form: Form) -> _C
     with warnings.catch_warnings(action="ignore"):
         common_names = common_name.split("+")  # several make a name that no tool of ROS makes
         name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, each, _validate=False) for each in common_names])
+    begin = form.now + timedelta(seconds=form.seconds_later if issuer else 0)
     constraints = x509.BasicConstraints(ca=issuer is None, path_length=1 if issuer is None else None)
     builder = (
         x509.CertificateBuilder()
@@ -311,8 +314,8 @@ def _certificate(common_name: str, issuer: _Credential | None, form: Form) -> _C
         .issuer_name(issuer.certificate.subject if issuer else name)
         .public_key(key.public_key())
         .serial_number(x509.random_serial_number())
-        .not_valid_before(form.now)
-        .not_valid_after(form.now + timedelta(days=form.days))
+        .not_valid_before(begin)
+        .not_valid_after(begin + timedelta(days=form.days))
         .add_extension(constraints, critical=issuer is None)
     )
     return _Credential(builder.sign(issuer.key if issuer else key, hashes.SHA256()), key)

@@ -86,7 +86,9 @@ def register_findings(session: Session) -> Iterator[Diagnostic]:
             help_ = f"remove the enclave; 'keymint renew --rekey {name}' makes a new key and certificate"
             yield Diagnostic.error("certificate-revoked", message, where, help_, package.subject)
         else:
-            wanted = certificate_forms.validity_within(package.identity.validity, issuer)
+            # One that another tool issued is kept with its dates, also beyond those of its issuer.
+            adopted = certificates.certificate_in(package.issuance.certificate) == certificate
+            wanted = certificate_forms.validity_within(package.identity.validity, None if adopted else issuer)
             if (first, last) != (wanted.not_before, wanted.not_after):
                 text = f"is in force from {iso_time(first)} to {iso_time(last)}, which is not what the sources ask for"
                 yield Diagnostic.warning("certificate-drift", text, where, issue, package.subject)

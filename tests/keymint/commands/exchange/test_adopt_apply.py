@@ -199,6 +199,14 @@ def test_an_authority_that_ends_with_all_that_it_issued_is_due_with_it(keymint, 
     )
 
 
+def test_a_certificate_that_outlives_its_issuer_by_a_second_is_as_the_sources_ask(keymint, tmp_path: Path) -> None:
+    """Both are made with the same number of days, one after the other: nothing would issue another one."""
+    made(tmp_path / "ks", seconds_later=1)
+    complete(keymint("adopt", "ks", "policy.xml", "--apply", "-w", "ws"))
+    assert "certificate-drift" not in keymint("check", "-w", "ws", "--json").codes()
+    assert "nothing to do" in complete(keymint("install", "-w", "ws"))
+
+
 def test_a_policy_in_comarmor(keymint, tmp_path: Path) -> None:
     made(tmp_path / "ks")
     complete(keymint("import", "policy.xml", "-o", "comarmor.d"))
