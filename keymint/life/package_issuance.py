@@ -183,6 +183,12 @@ def _limits(
             session.profile_marker(),
             "replace the identity authority ('keymint authority replace'), or use Humble or later",
         )
+    of_keys = dict.fromkeys((each.name, each.key) for each in certificates if each.key and reason != SUPERSEDED)
+    by_name = [name for name, _ in of_keys]
+    for name in [each for each in packages if by_name.count(each) > 1]:
+        message = f"this gives up the new key of {subject_of(name)} as well as those that it replaced"
+        help_ = f"'keymint renew --rekey {name}' makes another; --reason superseded would have spared the new one"
+        yield Diagnostic.warning("keys-given-up", message, None, help_, subject_of(name))
     same = [name for name in packages if not _has_generation(session, name)]
     if same:
         fit = "still fit the new certificate" if reason == SUPERSEDED else "would fit a later certificate as well"

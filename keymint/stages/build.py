@@ -123,7 +123,10 @@ class BuildStage(PackageStage):
         asked = (each.name for each in planned if each.name in self._asked.rekey)
         if names := [name for name in asked if self._session.tree.has_file(keys(name))]:
             message = f"{quantity(len(names), 'private key')} replaced: {', '.join(map(subject_of, names))}"
-            help_ = "deploy and restart what has them; certificates of the former keys end by 'keymint revoke' only"
+            ends = f"keymint revoke {names[0] if len(names) == 1 else 'NAME'} --reason superseded"
+            help_ = (
+                f"deploy and restart what has them; '{ends}' ends certificates of the former keys, and spares the new"
+            )
             yield Diagnostic.warning("keys-replaced", message, None, help_)
 
     def _in_policy(self, diagnostics: Iterable[Diagnostic], subject: str = "") -> tuple[Diagnostic, ...]:

@@ -95,6 +95,19 @@ def test_a_new_key_after_a_compromise(provisioned: Path, keymint) -> None:
     assert (provisioned / "install/enclaves/talker/crl.pem").exists()
 
 
+def test_the_former_key_of_a_new_one(provisioned: Path, keymint) -> None:
+    rekeyed = keymint("renew", "--rekey", "talker", cwd=provisioned)
+    key = certificate(provisioned, "talker").public_key()
+    lost = keymint("revoke", "talker", "--reason", "key-compromise", "--dry-run", "--json", cwd=provisioned)
+    assert (lost.code, lost.codes()) == (0, ["keys-given-up"])
+    words = rekeyed.err.split("'keymint ")[1].split("'")[0].split()
+    ended = keymint(*words, "--json", cwd=provisioned)
+    assert (ended.code, ended.codes(), len(ended.document["result"]["revoked"])) == (0, [], 2)
+    assert certificate(provisioned, "talker").public_key() == key
+    assert keymint("check", cwd=provisioned).code == 0
+    assert keymint("revoke", "talker", "--reason", "key-compromise", "--json", cwd=provisioned).codes() == []
+
+
 def test_numbers_rise_and_revocations_stay(provisioned: Path, keymint) -> None:
     numbers, serials = [], []
     for _ in range(3):
