@@ -111,12 +111,8 @@ def _of_files(session: Session, package: Package, loaded: LoadedEnclave) -> Iter
     """Yield the findings on the files of an enclave, and those of its build types; or that on a missing enclave."""
     name, subject = package.name, package.subject
     if loaded.is_absent:
-        if (reason := withdrawn(session).get(name)) is None:
-            yield installed_enclaves.not_installed(name, session.workspace.shown(session.enclave_folder(name)))
-            return
-        message = f"the certificate of {subject} was revoked ({reason}), and its enclave removed"
-        help_ = f"'keymint renew --rekey {name}' makes a new key and certificate"
-        yield Diagnostic.note("identity-revoked", message, None, help_, subject)
+        folder = session.workspace.shown(session.enclave_folder(name))
+        yield installed_enclaves.not_installed(name, folder, withdrawn(session).get(name, ""))
         return
     yield from loaded.unread
     yield from enclave_files_on_disk(session, package, loaded.files)

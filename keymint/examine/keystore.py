@@ -186,7 +186,9 @@ def _accepted(session: Session, authority: str) -> tuple[str, ...]:
     )
 
 
-SHOWN_NOTES = frozenset({RIGHTS_OUTLIVE, "authority-key-missing", "not-examined", "subjects-uncreated"})
+SHOWN_NOTES = frozenset(
+    {RIGHTS_OUTLIVE, "authority-key-missing", "identity-revoked", "not-examined", "subjects-uncreated"}
+)
 """Codes of notes that are shown in any case: an owner must know of them."""
 _REGISTER = "which certificates were issued and revoked is not known"
 _KEYS = "no private key here is compared with its certificate"

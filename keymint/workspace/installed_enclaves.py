@@ -145,8 +145,18 @@ def enclave_digests(session: Session, name: str) -> dict[str, str] | None:
     return {file: value for file, value in found.items() if value is not None}
 
 
-def not_installed(name: str, folder: str) -> Diagnostic:
-    """Return the finding on a package without an enclave; the folder is the missing one as messages show it."""
+def not_installed(name: str, folder: str, revoked: str = "") -> Diagnostic:
+    """Return the finding on a package without an enclave.
+
+    Args:
+        name: the package.
+        folder: the missing folder as messages show it.
+        revoked: why its certificate was revoked; empty if it was not.
+    """
+    if revoked:
+        message = f"the certificate of {subject_of(name)} was revoked ({revoked}), and its enclave removed"
+        help_ = f"'keymint renew --rekey {name}' makes a new key and certificate"
+        return Diagnostic.note("identity-revoked", message, None, help_, subject_of(name))
     message, help_ = f"the enclave {subject_of(name)} is not installed", f"run 'keymint install {name}'"
     return Diagnostic.error("enclave-missing", message, Origin(folder), help_, subject_of(name))
 

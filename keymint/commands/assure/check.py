@@ -77,7 +77,7 @@ def check(
     if not no_prove:
         known = {(each.code, each.where and each.where.file) for each in findings}
         effort = ProofEffort(run.setting.monotonic, standard_only=allow_vendor_specific)
-        enclaves = with_enclaves(session, chosen, named=bool(names))
+        enclaves = with_enclaves(session, chosen, named=False)
         state, found = _proven(session, enclaves, effort, run.pool, fresh=fresh, strict=strict)
         findings += (each for each in found if (each.code, each.where and each.where.file) not in known)
     if any(each.code == "counterexample" for each in findings):

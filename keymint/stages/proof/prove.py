@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import replace
 from itertools import chain
 
-from comarmor.errors import Defects, Diagnostic
+from comarmor.errors import Defects, Diagnostic, Severity
 from keymint import __version__, api
 from keymint.authority.authority_files import chains_digest
 from keymint.authority.examine import contradictions_for
@@ -19,6 +19,7 @@ from keymint.errors import KeymintError
 from keymint.host.pool import Pool
 from keymint.ir import SubjectRules
 from keymint.life import terms
+from keymint.life.workspace_register import withdrawn
 from keymint.names import name_of, subject_of
 from keymint.stages.documents import documents_digest, enclaves_of, installed_documents
 from keymint.stages.proof import proof_results
@@ -263,7 +264,8 @@ class ProofStage(PackageStage):
     ) -> EnclaveProof:
         subject = package.subject
         if not files:
-            return EnclaveProof(package.name, subject, diagnostics=(not_installed(package.name, folder),))
+            missing = not_installed(package.name, folder, withdrawn(self._session).get(package.name, ""))
+            return EnclaveProof(package.name, subject, diagnostics=(replace(missing, severity=Severity.ERROR),))
         claims: list[api.Claim] = []
         validity: list[api.ValidityTerm] = []
         defects = Defects()

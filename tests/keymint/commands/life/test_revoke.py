@@ -180,6 +180,16 @@ def test_twice(provisioned: Path, keymint) -> None:
     assert snapshot(provisioned) == before
 
 
+def test_check_and_prove_lead_from_a_revoked_enclave_to_a_new_key(provisioned: Path, keymint) -> None:
+    keymint("revoke", "talker", "--reason", "retired", cwd=provisioned)
+    for words, code in ((("check",), 0), (("check", "talker"), 0), (("prove", "talker"), 3)):
+        outcome = keymint(*words, cwd=provisioned)
+        assert outcome.code == code, outcome.err
+        assert "certificate of /talker was revoked (retired)" in outcome.err
+        assert "'keymint renew --rekey talker'" in outcome.err
+        assert "keymint install" not in outcome.err
+
+
 def test_the_register_is_restored_from_what_is_installed(provisioned: Path, keymint) -> None:
     register = provisioned / "private/register.sqlite3"
     before = keymint("issued", "--json", cwd=provisioned).document["result"]["certificates"]
