@@ -7,7 +7,7 @@ says. If that is intended, the profile can accept it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.patterns.decision_lists import Block, DecisionList, Equal, SearchBudget
@@ -25,6 +25,7 @@ from keymint_ros2_dds.settings import DomainRule, TopicProtection, settings_of
 
 STATES = 20_000
 """States that a search may visit; topics that are not decided count as open."""
+OPEN_JOIN = "governance-open-join"
 UNPROTECTED = "governance-unprotected"
 """Code of the finding on topics that are neither signed nor encrypted; a user may trust the network."""
 
@@ -54,7 +55,10 @@ def findings(package: Package, lowered: Lowered | None = None) -> tuple[Diagnost
         domains = uncovered_domains(pieces, earlier)  # the first rule for a domain counts
         earlier += rule.domains
         if domains:
-            results = (*_open_domain(rule, domains), *_open_topics(package, rule, domains, lowered))
+            joining, others = rule.enable_join_access_control, rule.allow_unauthenticated_participants
+            texts = open_domain(domains, join_controlled=joining, unauthenticated=others)
+            opened = ((OPEN_JOIN, text, rule.origin) for text in texts)
+            results = (*opened, *_open_topics(package, rule, domains, lowered))
             diagnostics += (Diagnostic(code, severity, text, where, help_) for code, text, where in results)
     return tuple(dict.fromkeys(diagnostics))
 
@@ -73,14 +77,13 @@ def _is_closed(rule: DomainRule) -> bool:
     )
 
 
-def _open_domain(rule: DomainRule, domains: tuple[DomainRange, ...]) -> Iterator[_Finding]:
+def open_domain(domains: Sequence[DomainRange], *, join_controlled: bool, unauthenticated: bool) -> Iterator[str]:
+    """Yield why participants may join domains that no policy allows them, for the code :data:`OPEN_JOIN`."""
     where = in_words(domains)
-    if not rule.enable_join_access_control:
-        text = f"{JOIN} is false: every identity of the authority may join {where}, even without permissions"
-        yield "governance-open-join", text, rule.origin
-    if rule.allow_unauthenticated_participants:
-        text = f"{UNAUTHENTICATED} is true: participants without identity and permissions may join {where}"
-        yield "governance-open-join", text, rule.origin
+    if not join_controlled:
+        yield f"{JOIN} is false: every identity of the authority may join {where}, even without permissions"
+    if unauthenticated:
+        yield f"{UNAUTHENTICATED} is true: participants without identity and permissions may join {where}"
 
 
 def _open_topics(

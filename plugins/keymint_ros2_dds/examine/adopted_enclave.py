@@ -24,7 +24,9 @@ from keymint_ros2_dds import enclave_layout as layout
 from keymint_ros2_dds.decision.semantics import STANDARD
 from keymint_ros2_dds.domains import merged_domains
 from keymint_ros2_dds.examine.enclave_rules import AUTHORITY_FILES, EnclaveRules
+from keymint_ros2_dds.governance_warnings import OPEN_JOIN, open_domain
 from keymint_ros2_dds.keystores.keystore_contents import Contents, EnclavePlace
+from keymint_ros2_dds.proving.enclave_governance import ACCEPT
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, as_ranges
 
 _ISSUE = "issue it again with the tool that made it, here and on the robots"
@@ -142,6 +144,11 @@ class _Enclave(EnclaveRules):
             yield from exposure(self._contents, self._enclave.files[layout.KEY], self._subject)
         if grant := self._only_grant():
             yield from self._of_grant(grant)
+        for rule in self.governance.document.domain_rules if self.governance.document else ():
+            domains, open_ = tuple(merged_domains(as_ranges(rule.domains))), rule.unauthenticated
+            for text in open_domain(domains, join_controlled=rule.join_controlled, unauthenticated=open_):
+                help_ = "sign a governance that puts it under access control, here and on the robots"
+                yield self._warning(OPEN_JOIN, layout.GOVERNANCE_P7S, text, f"{help_}, {ACCEPT} afterwards")
 
     def _common_name(self, subject_name: str) -> Iterator[Diagnostic]:
         longest = max(map(len, self._common_names()), default=0)

@@ -80,6 +80,27 @@ def test_a_name_that_has_two_common_names_is_confused_by_newer_vendors(keymint, 
     assert "has CN twice in its name 'CN=/other,CN=/talker'" in found[0]["message"]
 
 
+@pytest.mark.parametrize(
+    ("flag", "said"),
+    [
+        ("allow_unauthenticated_participants", "participants without identity and permissions may join domain 0"),
+        ("enable_join_access_control", "every identity of the authority may join domain 0"),
+    ],
+)
+def test_a_governance_that_lets_anyone_join_is_said_before_it_is_taken_over(
+    keymint, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, flag: str, said: str
+) -> None:
+    opposite = {"true": "false", "false": "true"}
+    rules = tuple((tag, opposite[text] if tag == flag else text) for tag, text in sros2_keystore._DOMAIN_RULE)
+    monkeypatch.setattr(sros2_keystore, "_DOMAIN_RULE", rules)
+    made(tmp_path / "ks")
+    outcome = keymint("adopt", "ks", "--json")
+    found = [each for each in outcome.document["diagnostics"] if each["code"] == "governance-open-join"]
+    assert [each["subject"] for each in found] == ["/robot1/listener", "/talker"]
+    assert all(said in each["message"] and each["severity"] == "warning" for each in found)
+    assert outcome.code == 3
+
+
 def test_json(keymint, keystore: Path) -> None:
     outcome = keymint("adopt", "ks", "--json")
     result = outcome.document["result"]
