@@ -37,16 +37,17 @@ def library_name(file: str) -> str | None:
     return match[1] if match else None
 
 
-def citation(file: str, line: int = 0) -> str:
+def citation(file: str, line: int = 0, source: str = "") -> str:
     """Return a place for messages: ``file:line``, or for the shipped library ``common/node.xml:3 (library)``.
 
     Args:
         file: path.
         line: line number from 1, or 0 for the complete file.
+        source: where the line comes from, see :attr:`Origin.source`; it stands before the name of the file.
     """
-    name = library_name(file)
+    name = f"{source} [{file.rpartition('/')[2]}]" if source else library_name(file)
     place = f"{name or file}:{line}" if line else name or file
-    return f"{place} (library)" if name else place
+    return f"{place} (library)" if name and not source else place
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -58,12 +59,14 @@ class Origin:
         line: line number from 1, or 0 for the complete file.
         chain: the places that included the file, innermost first.
         column: column from 1, or 0 if it is not known; distinguishes elements on one line.
+        source: what the file says about where this comes from, e.g. the number of a ticket; never a path.
     """
 
     file: str
     line: int = 0
     chain: tuple[Origin, ...] = ()
     column: int = 0
+    source: str = ""
 
     @property
     def spot(self) -> Spot:
@@ -72,20 +75,22 @@ class Origin:
 
     def included(self, chain: tuple[Origin, ...]) -> Origin:
         """Return the place in a file that other places include, innermost first."""
-        return Origin(self.file, self.line, (*self.chain, *chain), self.column)
+        return replace(self, chain=(*self.chain, *chain))
 
     def alone(self) -> Origin:
         """Return the place without the chain of includes."""
-        return Origin(self.file, self.line, (), self.column)
+        return replace(self, chain=())
 
     def with_files(self, rename: Callable[[str], str]) -> Origin:
         """Return the place with other names for its file and for those in the chain."""
         chain = tuple(outer.with_files(rename) for outer in self.chain)
-        return Origin(rename(self.file), self.line, chain, self.column)
+        return replace(self, file=rename(self.file), chain=chain)
 
     def __str__(self) -> str:
         """Return ``file:line``, followed by the chain of includes."""
-        return "".join([citation(self.file, self.line), *(f", included from {outer}" for outer in self.chain)])
+        return "".join(
+            [citation(self.file, self.line, self.source), *(f", included from {outer}" for outer in self.chain)]
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -176,7 +176,7 @@ def source_files(run: Run, labelled: LabelledGraph) -> Mapping[str, bytes]:
         for label in (edge.policy, *edge.transports)
         if label is not None and label.where
     }
-    files = sorted({each.file for place in places for each in (place, *place.chain)})
+    files = sorted({each.file for place in places for each in (place, *place.chain) if not each.source})
     return {file: read_input(run, Path(file)) for file in files if user_path(run, Path(file)).exists()}
 
 

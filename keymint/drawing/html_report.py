@@ -140,7 +140,7 @@ class _Page:
         for place in (label.where, *label.where.chain) if label.where else ():
             at = self._sources.get(place.file)
             target = "" if at is None else f"f{at}-{place.line}" if place.line else f"f{at}"  # without the file: empty
-            links.append({"text": one_line(citation(place.file, place.line)), "target": target})
+            links.append({"text": one_line(citation(place.file, place.line, place.source)), "target": target})
         return {
             "allowed": label.allowed,
             "wrong": policy is not None and label.allowed != policy.allowed,

@@ -24,7 +24,9 @@ def place_json(where: Origin | None, typed: Typed) -> Mapping[str, Any] | None:
 
 def line_json(where: Origin | None, typed: Typed = str) -> Mapping[str, Any] | None:
     """Return the file and the line of a place."""
-    return {"file": typed(where.file), "line": where.line or None} if where else None
+    if where is None:
+        return None
+    return {"file": typed(where.file), "line": where.line or None} | ({"source": where.source} if where.source else {})
 
 
 def edge_json(edge: Edge) -> dict[str, Any]:

@@ -162,4 +162,4 @@ def _diagnostic(diagnostic: Diagnostic) -> dict[str, Any]:
         "included_from": [{"file": outer.file, "line": outer.line} for outer in (where.chain if where else ())],
         "help": diagnostic.help,
         "subject": diagnostic.subject,
-    }
+    } | ({"source": where.source} if where and where.source else {})

@@ -104,4 +104,4 @@ def _location(where: Origin, typed: Callable[[str], str]) -> dict[str, Any]:
     place: dict[str, Any] = {"artifactLocation": {"uri": uri}}
     if where.line:
         place["region"] = {"startLine": where.line} | ({"startColumn": where.column} if where.column else {})
-    return {"physicalLocation": place}
+    return {"physicalLocation": place} | ({"properties": {"source": where.source}} if where.source else {})

@@ -140,7 +140,7 @@ class Run:
 
     def place(self, where: Origin | None) -> str:
         """Return a place as the user would type it, ``file:line``, or an empty text."""
-        return citation(self.typed(where.file), where.line) if where else ""
+        return citation(self.typed(where.file), where.line, where.source) if where else ""
 
     def as_typed(self, diagnostic: Diagnostic) -> Diagnostic:
         """Return a diagnostic with all paths as the user would type them."""

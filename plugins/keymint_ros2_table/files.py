@@ -14,6 +14,7 @@ import resource
 import sqlite3  # noqa: TID251 - in memory only: reads bytes
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from comarmor.errors import ComArmorError, Origin
@@ -162,7 +163,7 @@ def _row(values: Sequence[object], file: str, number: int) -> rows.TableRow | Co
             found = _TYPES[type(values[at])]
             return ComArmorError(f"{rows.COLUMNS[at]} is {found}, expected TEXT", where=where, code="table-value")
     # The column tells rows of one source apart where a line would; it is not shown.
-    origin = Origin(where.file, 0, (), number) if source else where
+    origin = replace(where, line=0, column=number) if source else where
     return rows.TableRow(where, origin, *["" if text is None else strip(str(text)) for text in texts])
 
 

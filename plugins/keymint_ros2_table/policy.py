@@ -204,7 +204,7 @@ def _placed_at(diagnostic: Diagnostic, where: Origin) -> Diagnostic:
 
 
 def _included(inner: Origin, where: Origin) -> Origin:
-    return Origin(inner.file, inner.line, (*inner.chain[:-1], where), inner.column)
+    return replace(inner, chain=(*inner.chain[:-1], where))
 
 
 def _unknown(what: str, value: str, known: Sequence[str], where: Origin) -> ComArmorError:

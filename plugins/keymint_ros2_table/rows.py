@@ -7,7 +7,7 @@ import csv
 import io
 from collections.abc import Iterator, Sequence
 
-from comarmor.errors import ComArmorError, Origin, library_name
+from comarmor.errors import ComArmorError, Origin
 from comarmor.language.attachments import strip
 from comarmor.text import did_you_mean, quantity, quote
 from comarmor.values import dataclass
@@ -71,10 +71,7 @@ def column_order(header: Sequence[str], where: Origin) -> tuple[int, ...]:
 
 
 def row_origin(file: str, number: int, source: str) -> Origin:
-    """Return the place of a row: its source, the table in brackets, and the number of the row.
-
-    If there is a source, the place names no file that exists, so that nothing takes the row for a part of that file:
-    rules of the policy library are treated in their own way.
+    """Return the place of a row, with its source.
 
     Args:
         file: path of the table as the user would type it.
@@ -82,19 +79,14 @@ def row_origin(file: str, number: int, source: str) -> Origin:
         source: what the row says about where it comes from; may be empty.
 
     Raises:
-        ComArmorError: the source is too long, or names the policy library.
+        ComArmorError: the source is too long.
     """
     if not source:
         return Origin(file, number)
-    shown, message, help_ = f"{source} [{file.rpartition('/')[2]}]", "", ""
     if len(source) > _LONGEST_SOURCE:
         message = f"the source is longer than {_LONGEST_SOURCE} characters"
-    elif library_name(shown) is not None:
-        message = "the source names a file of the policy library, which this row is not from"
-        help_ = "name what the row was made from, or leave it empty"
-    if message:
-        raise ComArmorError(message, where=Origin(file, number), help=help_, code="table-value")
-    return Origin(shown, number)
+        raise ComArmorError(message, where=Origin(file, number), code="table-value")
+    return Origin(file, number, source=source)
 
 
 _MOST_CHARACTERS = 1 << 20

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
@@ -101,3 +102,20 @@ def test_a_source_cannot_hide_a_rule_as_one_of_the_library(keymint, tmp_path: Pa
     node = "ws/profile/comarmor.d/common/node.xml"
     csv_file(tmp_path, f"/a,ros_topic,ros_publish,/x,ALLOW,,{node}:3", f"/b,ros_topic,ros_subscribe,/x,ALLOW,,{node}:3")
     assert keymint("query", "rules.csv", "isolated", "/a", "/b").code == 3
+
+
+def test_the_file_of_a_row_with_a_source_is_the_table(keymint, tmp_path: Path) -> None:
+    csv_file(
+        tmp_path, "/a,ros_topic,ros_publish,/x,ALLOW,,ticket 4711", "/a,ros_topic,ros_publish,/x,ALLOW,,/etc/passwd"
+    )
+    outcome = keymint("lint", "rules.csv", "--sarif", "found.sarif", "--json")
+    found = [each for each in outcome.document["diagnostics"] if each["code"] != "node-cannot-start"]
+    assert {(each["file"], each["source"]) for each in found} <= {
+        ("rules.csv", "ticket 4711"),
+        ("rules.csv", "/etc/passwd"),
+    }
+    assert found
+    results = json.loads((tmp_path / "found.sarif").read_text())["runs"][0]["results"]
+    locations = [each["locations"][0] for each in results]
+    assert {each["physicalLocation"]["artifactLocation"]["uri"] for each in locations} == {"rules.csv"}
+    assert {each["properties"]["source"] for each in locations} <= {"ticket 4711", "/etc/passwd"}
