@@ -71,6 +71,8 @@ def register_findings(session: Session) -> Iterator[Diagnostic]:
         where = session.workspace.origin(f"{session.enclave_folder(name)}/{CERTIFICATE}")
         issue = f"'keymint install {name}' issues another one"
         first, last = certificates.period(certificate)
+        if known is None and not certificates.is_issued_by(certificate, issuer):
+            continue  # its signature is reported with the chain: another key than our authority's made it
         if known is None:
             serial = hexadecimal(certificate.serial_number)
             message = f"is a certificate with the serial number {serial} that nobody registered"

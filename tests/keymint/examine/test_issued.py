@@ -6,6 +6,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.serialization import Encoding
 
 from .fault_keystores import DAY, TALKER, put
 from .presented import codes, findings, keystore
@@ -28,6 +32,18 @@ def test_a_certificate_that_nobody_registered(keymint, provisioned: Path, verb: 
     found = of_certificate(keymint, provisioned, verb, "certificate-unregistered")
     assert "that nobody registered" in found["message"]
     assert "the key of 'identity_ca'" in found["help"]
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_a_foreign_authority_of_the_same_name_does_not_accuse_ours(keymint, provisioned: Path, verb: str) -> None:
+    ours = x509.load_pem_x509_certificate((provisioned / CERTIFICATE).read_bytes())
+    forged = x509.CertificateBuilder(
+        ours.issuer, ours.subject, ours.public_key(), 12345, ours.not_valid_before_utc, ours.not_valid_after_utc
+    ).sign(ec.generate_private_key(ec.SECP256R1()), hashes.SHA256())
+    put(provisioned / CERTIFICATE, forged.public_bytes(Encoding.PEM))
+    found = codes(keymint, provisioned, verb)
+    assert "chain-signature" in found
+    assert "certificate-unregistered" not in found
 
 
 @pytest.mark.parametrize("verb", VERBS)
