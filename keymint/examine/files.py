@@ -316,6 +316,13 @@ def _copies(session: Session, names: Sequence[str], outside: Iterable[str]) -> M
     """
     sources = frozenset(session.packages())
     gone = frozenset(names) - sources if sources.intersection(names) else frozenset[str]()  # all hidden: they need them
+    stamps = {name: session.state.stamp(INSTALLED, name) for name in names}
+    altered = {
+        name
+        for name, stamp in stamps.items()
+        if stamp and not installed_enclaves.has_outputs(session, session.enclave_folder(name), stamp)
+    }
+    gone |= altered if altered < stamps.keys() else frozenset()  # they are reported; what others have in common stays
     found = installed_enclaves.shared_copies(session, installed_enclaves.EnclaveChanges(removed=gone))
     if not any(found) and withdrawn(session):
         left = {"": {path.rpartition("/")[2]: Artifact(session.tree.try_read(path) or b"") for path in outside}}

@@ -177,11 +177,12 @@ class EnclaveRules(IdentityCheck):
     def revocation_list(self) -> Iterator[Diagnostic]:
         """Yield an error if vendors refuse a participant with the revocation list of the enclave, dates aside."""
         problem, found = self._list_problem, self.revocation
+        help_ = "remove it, or replace it with a list by the certificate's issuer"
         if found:
+            help_ = "the list is right: remove the enclave, and 'keymint renew --rekey' makes a new key and certificate"
             when = f"serial number {hexadecimal(found.serial)}, since {found.at:%Y-%m-%d} ({found.reason})"
             problem = f"revokes the certificate beside it, {when}"
         if problem:
-            help_ = "remove it, or replace it with a list by the certificate's issuer"
             yield self._error("revocation-list", layout.CRL, f"{problem}: vendors refuse the participant", help_)
 
     # -- what it says --------------------------------------------------------------------------------------------

@@ -50,6 +50,16 @@ def test_an_edited_script_is_a_finding_and_a_missing_one_is_none(keymint: Callab
     assert finding["help"] == "rename it or remove it, and run 'keymint install'"
 
 
+@pytest.mark.parametrize("file", ["governance.p7s", "identity_ca.cert.pem"])
+def test_an_altered_file_of_one_enclave_does_not_make_the_common_copy_unexpected(
+    keymint: Callable, provisioned: Path, file: str
+) -> None:
+    path = provisioned / "install/enclaves/talker" / file
+    path.write_text(path.read_text().replace("a", "b"))
+    outcome = keymint("check", "--json", cwd=provisioned)
+    assert {each["file"] for each in outcome.document["diagnostics"]} == {f"install/enclaves/talker/{file}"}
+
+
 def test_the_mode_and_the_kind_of_a_script_are_checked(keymint: Callable, ws: Path) -> None:
     (ws / "install/keystore.bash").chmod(0o666)
     (ws / "install/keystore.zsh").unlink()
