@@ -37,7 +37,7 @@ from keymint.view.stamps import digest
 from keymint.workspace import installed_enclaves
 from keymint.workspace.package_build_types import BUILD, build_types_of, is_build_current
 from keymint.workspace.session import Session
-from keymint.workspace.stored_keys import key_defects, missing_key_remedy
+from keymint.workspace.stored_keys import key_defects
 
 Inspections = Mapping[str, tuple[BuildType, Inspection]]
 """What each build type of a package sees of its enclave."""
@@ -104,7 +104,18 @@ def examine(session: Session, loaded: LoadedEnclave, keyring: Keyring) -> tuple[
         foreign = tuple(each for each in more if (each.code, each.where) not in known)
     except KeymintError:  # of documents of several packages, which are reported
         foreign = ()
-    return package.name, fingerprint, (*found, *foreign)
+    all_found = (*found, *foreign)
+    if lost := next((each for each in findings if each.code == "key-missing"), None):  # nothing else gives it back
+        place = session.workspace.origin(session.enclave(package.name) / installed_enclaves.KEY)
+        all_found = tuple(
+            replace(each, help=lost.help) if each.where == place and each.code in _OF_KEY else each
+            for each in all_found
+        )
+    return package.name, fingerprint, all_found
+
+
+_OF_KEY = frozenset({"file-missing", "file-changed", "key-mismatch"})
+"""Codes of findings on the private key in an enclave that its copy in the workspace mends."""
 
 
 def _of_files(session: Session, package: Package, loaded: LoadedEnclave) -> Iterator[Diagnostic]:
@@ -174,13 +185,13 @@ def _identity_key(session: Session, package: Package, keyring: Keyring) -> tuple
         if session.tree.is_left_out(path) and not package.issuance.public_key:
             return "", ()
         if pem is None and not package.issuance.public_key and not package.identity.key.uri:
-            message, where = f"the private key of {subject} is missing", session.workspace.origin(path)
-            installed = session.tree.has_file(session.enclave(package.name) / installed_enclaves.KEY)
-            help_ = missing_key_remedy(package.name, in_enclave=installed)
-            found = Diagnostic.warning("key-missing", message, where, help_, subject)
             # A copy of a workspace without any private file is there to be checked.
             is_copy = session.tree.status(session.workspace.private) is None
-            return "", (replace(found, severity=Severity.NOTE) if is_copy else found,)
+            severity, (found,) = (
+                Severity.NOTE if is_copy else Severity.WARNING,
+                identities.missing_key(session, package.name).diagnostics,
+            )
+            return "", (replace(found, severity=severity, subject=subject),)
         key = identities.public_key(session, package)
         fingerprint = keys.fingerprint(key)
         keyring.require_own(package, key)

@@ -158,19 +158,29 @@ def restore_or_mint(session: Session, package: Package, *, rekey: bool, restore:
     known = "" if rekey else known_fingerprint(session, package.name)
     if not known:
         return mint(session, package)
-    pem = session.tree.try_read(session.enclave(package.name) / KEY) or b""
+    pem, in_enclave = _enclave_key(session, package.name, known)
+    if not in_enclave or not restore:
+        raise missing_key(session, package.name)
+    return secret_file(path, pem), known
+
+
+def missing_key(session: Session, name: str) -> KeymintError:
+    """Return the error that a package's private key is missing, with the one remedy that is left."""
+    _, in_enclave = _enclave_key(session, name, known_fingerprint(session, name))
+    message, help_ = (
+        f"the private key of {subject_of(name)} is missing",
+        missing_key_remedy(name, in_enclave=in_enclave),
+    )
+    return KeymintError(message, where=key_place(session, name), help=help_, code="key-missing")
+
+
+def _enclave_key(session: Session, name: str, known: str) -> tuple[bytes, bool]:
+    """Return the private key in an enclave, and whether it is the one with a fingerprint."""
+    pem = session.tree.try_read(session.enclave(name) / KEY) or b""
     try:
-        there = keys.fingerprint(keys.from_pem(pem)) if pem else ""
+        return pem, bool(pem) and keys.fingerprint(keys.from_pem(pem)) == known
     except KeymintError:
-        there = ""
-    if there != known or not restore:
-        raise KeymintError(
-            f"the private key of {subject_of(package.name)} is missing",
-            where=key_place(session, package.name),
-            help=missing_key_remedy(package.name, in_enclave=there == known),
-            code="key-missing",
-        )
-    return secret_file(path, pem), there
+        return pem, False
 
 
 # -- the certificate, and signatures --------------------------------------------------------------------------------

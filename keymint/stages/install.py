@@ -61,7 +61,7 @@ from keymint.workspace.package_build_types import (
     users,
 )
 from keymint.workspace.session import Inputs, Session
-from keymint.workspace.stored_keys import IDENTITY_KEYS, without_recorded_keys
+from keymint.workspace.stored_keys import IDENTITY_KEYS, known_fingerprint, without_recorded_keys
 
 STAGE = INSTALLED
 _changed_rights = lazy("keymint.stages.changed_rights:changed_rights")  # a new fleet has nothing to compare
@@ -355,7 +355,9 @@ def _stamp(inputs: str, files: Mapping[str, File], lifetimes: str = "", build_ty
 
 
 def _not_built(session: Session, name: str, what: str) -> KeymintError:
-    """Return the error for a package, or documents over all packages, that must be built before."""
+    """Return the error for a package, or documents over all packages, that must be built before, or lacks its key."""
+    if not shared_type(name) and is_built(session, name) and known_fingerprint(session, name):
+        return identities.missing_key(session, name)
     command = "keymint build" if shared_type(name) else f"keymint build {name}"
     where = session.workspace.origin(documents_folder(session, name))
     return KeymintError(f"{what} not built", help=f"run '{command}'", code="not-built", where=where)

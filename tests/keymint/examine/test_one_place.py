@@ -31,7 +31,7 @@ TWICE = {
     },
     "the verb that would need it refuses": {
         "adopt-unsupported", "authority-missing", "bundle-dates", "identity-revoked",
-        "key-missing", "rollover-incomplete",
+        "rollover-incomplete",
     },
     "as imported, and as the profile specifies it": {"authority-drift"},
     "two transports": {"drift", "file-unexpected"},

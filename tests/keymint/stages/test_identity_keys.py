@@ -83,6 +83,29 @@ class TestIdentities:
         (finding,) = (each for each in keymint("check", "--json", cwd=ws).document["diagnostics"])
         assert (finding["code"], finding["severity"]) == ("key-missing", "warning")
 
+    @pytest.mark.parametrize("how", ["here", "gone", "another"])
+    def test_a_missing_key_is_named_at_once_with_one_remedy(self, keymint, ws: Path, how: str) -> None:
+        (ws / IDENTITY_KEYS[0]).unlink()
+        own, other = (ws / f"install/enclaves/{name}/key.pem" for name in ("talker", "robot1/listener"))
+        if how != "here":
+            content = other.read_bytes()
+            own.unlink()
+            own.write_bytes(content) if how == "another" else None
+            own.chmod(0o600) if how == "another" else None
+        refused = keymint("install", "--json", cwd=ws)
+        assert (refused.code, refused.codes()) == (1, ["key-missing"])
+        found = [
+            each for each in keymint("check", "--json", cwd=ws).document["diagnostics"] if each["severity"] != "note"
+        ]
+        assert {each["help"] for each in found} == {refused.document["diagnostics"][0]["help"]}, found
+        assert ("'keymint build -f talker'" in found[0]["help"], "backup" in found[0]["help"]) == (
+            how == "here",
+            how != "here",
+        )
+        assert keymint("build", *(("-f", "talker") if how == "here" else ("--rekey", "talker")), cwd=ws).code == 0
+        assert keymint("install", cwd=ws).code == 0
+        assert keymint("check", cwd=ws).code == 0
+
     def test_a_copy_without_private_files_is_checked_without_findings(self, keymint, ws: Path) -> None:
         shutil.rmtree(ws / "private")
         outcome = keymint("check", cwd=ws)
