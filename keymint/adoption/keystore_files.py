@@ -20,6 +20,7 @@ from keymint.api.plugin_loader import Plugins
 from keymint.errors import KeymintError
 from keymint.view.tree import MAX_FILE, read_error
 
+_ENCLAVES = "enclaves"
 MOST_FILES = 100_000
 """Files of a keystore; one of ten thousand enclaves has seven for each."""
 MOST_BYTES = 1 << 30
@@ -61,7 +62,7 @@ def read_keystore(folder: Path, typed: str, now: datetime) -> tuple[KeystoreFile
         now: the clock, UTC.
 
     Raises:
-        KeymintError: there is no such folder, or it is far larger than any keystore.
+        KeymintError: there is no such folder, it is a part of a keystore, or far larger than any.
     """
     root, problem = folder, ""
     try:
@@ -72,6 +73,11 @@ def read_keystore(folder: Path, typed: str, now: datetime) -> tuple[KeystoreFile
     if problem:
         help_ = "name the folder of a keystore"
         raise KeymintError(problem, where=Origin(typed), help=help_, code="keystore-missing")
+    for depth, outer in enumerate(root.parents if not (root / _ENCLAVES).is_dir() else (), 1):
+        if root.is_relative_to(outer / _ENCLAVES) and (outer / "public").is_dir():
+            keystore = os.path.normpath(f"{typed}/{'../' * depth}")
+            message, help_ = "is a part of a keystore", f"did you mean {keystore}?"
+            raise KeymintError(message, where=Origin(typed), help=help_, code="keystore-unknown")
     files: dict[str, KeystoreFile] = {}
     problems: list[Diagnostic] = []
     size = 0

@@ -39,9 +39,15 @@ def plan_init(inputs: Inputs, profile_type: str, request: api.Bootstrap) -> Plan
     """Plan the files of a new workspace; existing files are kept.
 
     Raises:
-        KeymintError: no such profile type, distro or layout.
+        KeymintError: no such profile type, distro or layout; or the folder is a keystore of another tool.
     """
-    root = inputs.workspace.profile
+    root, place = inputs.workspace.profile, inputs.workspace.root
+    if {("enclaves", True), ("public", True)} <= {*inputs.tree.names(place)} and not inputs.workspace.exists():
+        raise KeymintError(
+            "is a keystore of 'ros2 security', and no workspace", where=inputs.workspace.origin(place),
+            help=f"keymint adopt {inputs.workspace.shown(place)} POLICY --apply -w WORKSPACE",
+            code="workspace-keystore",
+        )  # fmt: skip
     files = inputs.plugins.profile_type(profile_type).bootstrap(request)
     missing = {path: File(content) for path, content in sorted(files.items()) if inputs.tree.read(root / path) is None}
     folders = by_folder(root, missing)

@@ -334,3 +334,21 @@ def test_no_keystore(keymint, tmp_path: Path, name: str, words: str) -> None:
     outcome = keymint("adopt", name)
     assert outcome.code == 1
     assert outcome.err.startswith(f"{name}: error: {words}")
+
+
+@pytest.mark.parametrize("verb", [["init", "ks"], ["init", "-w", "ks"], ["provision", "policy.xml", "-w", "ks"]])
+def test_a_keystore_is_no_place_for_a_new_workspace(keymint, keystore: Path, tmp_path: Path, verb: list[str]) -> None:
+    text = '<profiles><profile name="a"><attachment>/a</attachment></profile></profiles>'
+    (tmp_path / "policy.xml").write_text(text)
+    before = snapshot(tmp_path / "ks")
+    outcome = keymint(*verb, "--json")
+    (said,) = outcome.document["diagnostics"]
+    assert (outcome.code, said["code"], said["file"]) == (1, "workspace-keystore", "ks")
+    assert said["help"] == "keymint adopt ks POLICY --apply -w WORKSPACE"
+    assert snapshot(tmp_path / "ks") == before
+
+
+@pytest.mark.parametrize("part", ["enclaves", "enclaves/talker", "enclaves/robot1/listener"])
+def test_a_part_of_a_keystore_leads_to_the_keystore(keymint, keystore: Path, part: str) -> None:
+    (said,) = keymint("adopt", f"ks/{part}", "--json").document["diagnostics"]
+    assert (said["code"], said["help"]) == ("keystore-unknown", "did you mean ks?")
