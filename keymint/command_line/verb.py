@@ -28,7 +28,7 @@ from comarmor.values import dataclass
 from keymint import SPACES
 from keymint.api import GraphSource
 from keymint.api.plugin_loader import Plugins
-from keymint.command_line.verb_group import help_all
+from keymint.command_line.verb_group import VerbCommand, help_all
 from keymint.errors import KeymintError, usage_error
 from keymint.output.console import COLOURS
 from keymint.output.report import Report, findings_exit, findings_if
@@ -98,7 +98,7 @@ def verb(
             context.exit(int(report.exit_code))
 
         functools.update_wrapper(command, function)
-        made = click.command(own_name)(click.pass_context(command))
+        made = click.command(own_name, cls=VerbCommand)(click.pass_context(command))
         made.params += [*parameters, *shared, *(before for _, before in renamed)]
         has_hidden = any(isinstance(each, click.Option) and each.hidden for each in made.params)
         made.params.append(help_all(hidden=not has_hidden))

@@ -55,6 +55,24 @@ def foreign_words(group: str) -> Mapping[str, str]:
     }
 
 
+class VerbCommand(click.Command):
+    """A verb, whose unknown options are those of other tools, or misspelt."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse the arguments; a wrong option is a usage error that never proposes to leave out a check."""
+        try:
+            return super().parse_args(ctx, args)
+        except click.NoSuchOption as error:
+            known = {name for each in self.params for name in each.opts}
+            words = foreign_words("options") | foreign_words(ctx.command_path)
+            said = words.get(error.option_name, "")
+            has_it = not said.startswith("-") or said.split()[0] in known
+            near = " or ".join(each for each in error.possibilities or () if not each.startswith("--no-"))
+            hint = said if said and has_it else near
+            message = f"No such option {error.option_name!r}." + (hint and f" Did you mean {hint}?")
+            raise click.NoSuchOption(error.option_name, message, ctx=ctx) from None
+
+
 class VerbGroup(click.Group):
     """Verbs, in groups.
 

@@ -19,7 +19,7 @@ from comarmor.errors import Defects, Diagnostic, Origin
 from keymint.api import TrustAnchor, TrustAnchors, ValidityTerm
 from keymint.errors import KeymintError
 from keymint.names import name_of
-from keymint.pki import certificates, distinguished_names, extensions, keys
+from keymint.pki import certificates, distinguished_names, extensions, keys, periods
 from keymint.pki.distinguished_names import to_text
 
 CERTIFICATE, KEY = "cert.pem", "key.pem"
@@ -154,6 +154,8 @@ class IdentityCheck:
             yield self._error(f"{code}-not-yet-valid", name, f"the {what} is not valid before {utc_time(begin)}", help_)
         elif now + within >= end:
             message = f"the {what} expires on {utc_time(end)}" + (at_the_end and f"; {at_the_end}")
+            if within >= end - begin - periods.back(end - begin):  # a new one would end too soon as well
+                renew = "so does a new one: name a shorter time, or lengthen the validity ('keymint set valid-for')"
             yield self._warning(f"{code}-expires", name, message, renew)
 
 

@@ -74,12 +74,22 @@ def renew(
         packages = names.packages(run, session, threshold=threshold)
         told = names.confirm(run, "rekey", packages) if rekey else ()
         enclaves = with_enclaves(session, packages, named=bool(names))
-        due = schedule(session, installed_terms(session, enclaves), threshold)
+        terms = installed_terms(session, enclaves)
+        due = schedule(session, terms, threshold)
+        shorter = () if threshold.left is None else [
+            subject_of(name) for name, own in terms.items() if any(each.length < 2 * threshold.left for each in own)
+        ]  # fmt: skip
         if names:
-            due = Schedule(tuple(map(Due, packages)), due.lists, due.authorities, due.following)
+            by_state = {each.name: each for each in due.enclaves} if names.state == "due" else {}
+            chosen = tuple(by_state.get(name, Due(name)) for name in packages)
+            due = Schedule(chosen, due.lists, due.authorities, due.following)
         rekeys = rekey and not run.resumes
         plan, renewal = _renewal(run, session, due, rekey=rekeys, prove=prove, alone=not names)
-        return plan.noting(*told), renewal
+        result, lines, is_left = renewal
+        if shorter:
+            capped = "the time of --threshold is more than half of a validity; due after that half:"
+            lines = (*lines, f"{capped} {subject_list(shorter)}")
+        return plan.noting(*told), (result, lines, is_left)
 
     report, (result, lines, _) = run.made(make_plan, lambda plan, made: exit_code_of(plan) or findings_if(made[-1]))
     run.console.messages(lines)

@@ -35,6 +35,27 @@ def test_a_name_that_is_no_verb(keymint: Callable[..., Outcome], given: tuple[st
     assert outcome.err.splitlines()[-1] == said
 
 
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("provision x --auto-approve", " Did you mean --yes?"),
+        ("renew -y", " Did you mean --yes?"),
+        ("check --auto-approve", ""),
+        ("renew --all", " Did you mean 'keymint renew' without a NAME?"),
+        ("renew --within 3d", " Did you mean --threshold?"),
+        ("lint --format sarif", " Did you mean --sarif or --json?"),
+        ("lint --junit x", " Did you mean --sarif or --json?"),
+        ("lint --sarf x", " Did you mean --sarif?"),
+    ],
+)
+def test_an_option_of_other_tools(keymint: Callable[..., Outcome], given: str, said: str) -> None:
+    outcome = keymint(*given.split())
+    assert outcome.code == 2
+    (message,) = (line for line in outcome.err.splitlines() if "No such option" in line)
+    assert "--no-" not in message
+    assert message.endswith(f".{said} [usage]")
+
+
 @pytest.mark.parametrize("group", [cli, authority], ids=["keymint", "authority"])
 def test_words_of_other_tools_name_verbs(group: VerbGroup) -> None:
     path = "keymint" if group is cli else f"keymint {group.name}"

@@ -61,6 +61,29 @@ def install(keymint: Callable, ws: Path, env: Mapping[str, str] | None = None) -
 
 
 class TestDue:
+    def test_a_state_says_why_and_a_long_time_is_said_to_be_cut(self, keymint: Callable, ws: Path) -> None:
+        outcome = keymint("renew", "--state", "due", "--dry-run", "--json", cwd=ws, env=at(DUE))
+        assert {each["why"] for each in outcome.document["result"]["renewed"]} <= {"certificate", "permissions"}
+        assert all(each["ends"] and each["due"] for each in outcome.document["result"]["renewed"])
+        assert "as you asked" not in keymint("renew", "--state", "due", "--dry-run", cwd=ws, env=at(DUE)).out
+        cut = "the time of --threshold is more than half of a validity; due after that half: /robot1/listener, /talker"
+        assert cut in keymint("renew", "--threshold", "200d", cwd=ws).out
+        assert "more than half" not in keymint("renew", "--threshold", "30d", cwd=ws).out
+
+    def test_check_does_not_lead_to_a_renewal_that_changes_nothing(self, keymint: Callable, ws: Path) -> None:
+        (longer,) = {
+            each["help"]
+            for each in keymint("check", "--within", "300d", "--json", cwd=ws, env=at(DUE)).document["diagnostics"]
+            if each["code"] == "certificate-expires" and each["subject"] == "/talker"
+        }
+        assert "keymint renew talker" in longer
+        outcome = keymint("check", "--within", "500d", "--no-prove", "--json", cwd=ws)
+        found = [
+            each for each in outcome.document["diagnostics"] if each["code"] in {"certificate-expires", "grant-expires"}
+        ]
+        assert found
+        assert not [each for each in found if "renew" in each["help"]]
+
     def test_nothing_is_due_in_a_new_workspace(self, keymint: Callable, ws: Path) -> None:
         keymint("renew", cwd=ws)  # the workspace is a copy, whose files this run looks at
         before = snapshot(ws)
