@@ -64,7 +64,7 @@ class VerbCommand(click.Command):
             return super().parse_args(ctx, args)
         except click.NoSuchOption as error:
             known = {name for each in self.params for name in each.opts}
-            words = foreign_words("options") | foreign_words(ctx.command_path)
+            words = {**foreign_words("options"), **foreign_words(ctx.command_path)}
             said = words.get(error.option_name, "")
             has_it = not said.startswith("-") or said.split()[0] in known
             near = " or ".join(each for each in error.possibilities or () if not each.startswith("--no-"))
