@@ -215,17 +215,24 @@ class _ForeignKeystore:
     ) -> Iterator[Diagnostic]:
         """Yield a note for a private key that is not here, and for what the certificate lacks, or has too much of.
 
-        Each is the matter of a later step.
+        Each is the matter of a later step. A key that is here and is not taken is a warning.
         """
-        if not self._contents.keys_of(certificate):
+        contents = self._contents
+        if not contents.keys_of(certificate):
             message = (
                 f"has no private key here: the authority {name!r} is taken over without it, and signs nothing here"
             )
             help_ = f"'keymint authority import {name} {where} --key FILE' brings it later"
-            if names := ", ".join(str(self._contents.place(each)) for each in self._contents.sealed):
-                which = f"if it is one of {names}, which are encrypted or containers"
-                help_ = f"{which}: decrypt it (openssl pkey), then {help_}"
-            yield Diagnostic.note("adopt-authority-elsewhere", message, where, help_)
+            own = {enclave.files.get(layout.KEY) for enclave in self._places}
+            certified = {keys.fingerprint(certificates.public_key(each)) for each in contents.certificates.values()}
+            others = (path for key, paths in contents.keys.items() if key not in certified for path in paths)
+            reasons = dict.fromkeys(others, "is the key of another certificate")
+            reasons |= dict.fromkeys(contents.sealed, "is encrypted or a container")
+            not_taken = [f"{contents.place(path)} {why}" for path, why in reasons.items() if path not in own]
+            if contents.sealed:
+                help_ = f"if it is the encrypted one: decrypt it (openssl pkey), then {help_}"
+            made = Diagnostic.warning if not_taken else Diagnostic.note
+            yield made("adopt-authority-elsewhere", "; ".join((message, *not_taken)), where, help_)
         if len(roles) > 1:
             message = (
                 "issues identities and signs permissions: on old vendors, any identity can sign permissions for itself"

@@ -10,6 +10,13 @@ from pathlib import Path
 
 import pytest
 from cryptography import x509
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.serialization import (
+    BestAvailableEncryption,
+    Encoding,
+    NoEncryption,
+    PrivateFormat,
+)
 
 from keymint.pki import keys
 from tests import sros2_keystore
@@ -352,3 +359,24 @@ def test_a_keystore_is_no_place_for_a_new_workspace(keymint, keystore: Path, tmp
 def test_a_part_of_a_keystore_leads_to_the_keystore(keymint, keystore: Path, part: str) -> None:
     (said,) = keymint("adopt", f"ks/{part}", "--json").document["diagnostics"]
     assert (said["code"], said["help"]) == ("keystore-unknown", "did you mean ks?")
+
+
+@pytest.mark.parametrize(
+    ("secret", "why", "remedy"),
+    [
+        (b"secret", "ks/private/ca.key.pem is encrypted or a container", "decrypt it (openssl pkey)"),
+        (None, "ks/private/ca.key.pem is the key of another certificate", "keymint authority import ca"),
+    ],
+)
+def test_a_key_of_an_authority_that_is_not_taken_is_a_warning(
+    keymint, keystore: Path, secret: bytes | None, why: str, remedy: str
+) -> None:
+    place = keystore / "private/ca.key.pem"
+    key = ec.generate_private_key(ec.SECP256R1()) if secret is None else keys.from_pem(place.read_bytes())
+    encryption = BestAvailableEncryption(secret) if secret else NoEncryption()
+    place.write_bytes(key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, encryption))
+    outcome = keymint("adopt", "ks", "--json")
+    (said,) = (each for each in outcome.document["diagnostics"] if each["code"] == "adopt-authority-elsewhere")
+    assert (outcome.code, said["severity"]) == (3, "warning")
+    assert why in said["message"]
+    assert remedy in said["help"]
