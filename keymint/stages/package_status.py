@@ -13,7 +13,7 @@ from keymint.api import BuildOptions, LoadedPolicy, Role
 from keymint.authority import authorities
 from keymint.errors import KeymintError
 from keymint.life.package_issuance import place_of
-from keymint.life.renewal_schedule import CERTIFICATE, enclave_terms, first_due
+from keymint.life.renewal_schedule import CERTIFICATE, PERMISSIONS, enclave_terms, first_due
 from keymint.life.terms import DEFAULT, Term, recorded_terms
 from keymint.life.workspace_register import register_of, withdrawn
 from keymint.names import name_of, subject_of
@@ -38,7 +38,7 @@ class StatusRow:
             enclave without a source package, ``ignored`` for one whose package a KEYMINT_IGNORE hides.
         stale: the first verb that would do something for it, or empty.
         certificate_expires: end of validity of the installed certificate, UTC.
-        permissions_expire: end of validity of the grant, UTC.
+        permissions_expire: end of validity of the installed permissions, UTC.
         problem: one line when the package cannot be loaded, or the documents cannot be built.
         terms: what of the installed enclave ends; nothing if it is not installed, or that is not known.
         build_type: the build type of documents over all packages.
@@ -125,17 +125,16 @@ def _row(session: Session, differing: Mapping[str, str], name: str, *, installed
     if name in withdrawn(session):
         stage = "revoked"
     stale, problem = ("create", differing[name]) if name in differing else ("", "")
-    permissions_end, current = None, False
+    is_subject = current = False
     try:
         current = built and is_build_current(session, name)
-        own = recorded_terms(session, name, session.state.stamp(BUILD, name) if current else None)
-        if session.role(name) is Role.SUBJECT:
-            permissions_end = next((each.last for each in own if each.what == "grant"), None)
+        recorded_terms(session, name, session.state.stamp(BUILD, name) if current else None)  # tells defects
+        is_subject = session.role(name) is Role.SUBJECT
     except KeymintError as error:
         stale, problem = "create", _in_words(error.diagnostics)
     stale = stale or ("" if current else "build")
     if not stale and stage == "revoked":
-        return StatusRow(name, stage, "", None, permissions_end, problem)
+        return StatusRow(name, stage, "", problem=problem)
     current = not stale and installed and install.is_current(session, name)
     if not current:
         is_unknown = session.tree.is_left_out(session.workspace.identity_key(name))
@@ -146,7 +145,8 @@ def _row(session: Session, differing: Mapping[str, str], name: str, *, installed
             terms = enclave_terms(session, name, as_recorded=current)
     end = next((each.last for each in terms if each.what == CERTIFICATE), None)
     end = end or _certificate_end(session, name)
-    return StatusRow(name, stage, stale, end, permissions_end, problem, terms)
+    granted = next((each.last for each in terms if is_subject and each.what == PERMISSIONS), None)
+    return StatusRow(name, stage, stale, end, granted, problem, terms)
 
 
 def _in_words(problems: Sequence[Diagnostic]) -> str:

@@ -148,3 +148,21 @@ def test_cost_grows_with_the_number_of_packages(keymint, tmp_path: Path) -> None
         calls.append(number)
     first, second = ((calls[at + 1] - calls[at]) / (sizes[at + 1] - sizes[at]) for at in (0, 1))
     assert second < 1.2 * first
+
+
+def test_the_dates_are_those_in_force(keymint, provisioned: Path) -> None:
+    def dates() -> dict[str, tuple[str | None, str | None]]:
+        rows = keymint("status", "--json", cwd=provisioned).document["result"]["packages"]
+        return {each["package"]: (each["certificate_expires"], each["permissions_expire"]) for each in rows}
+
+    before = dates()
+    assert all(permissions == certificate for certificate, permissions in before.values())
+    assert keymint("set", "valid-for", "90d", cwd=provisioned).code == 0
+    assert dates() == before
+    assert keymint("build", cwd=provisioned).code == 0
+    assert dates() == before
+    assert keymint("install", cwd=provisioned).code == 0
+    assert all(permissions == certificate for certificate, permissions in dates().values())
+    assert dates() != before
+    assert keymint("revoke", "talker", "--reason", "key-compromise", cwd=provisioned).code == 0
+    assert dates()["talker"] == (None, None)
