@@ -34,6 +34,8 @@ SETTINGS: Mapping[str, tuple[str, Collection[str]]] = {
     "within": ("0d", ("check",)),
 }
 """What may be set, by the long name of the option: the built-in default in words, and the verbs (empty for all)."""
+_NO_TEXT = ("jobs", "quiet", "verbose")
+"""What a file sets without quotes."""
 
 
 class Default(NamedTuple):
@@ -88,7 +90,11 @@ def load_defaults(
             continue
         for key, given in entries.items():
             where = Origin(path, _line(text, key))
-            if key in SETTINGS:
+            if key in _NO_TEXT and isinstance(given, str):
+                help_ = f"write {key} = {given.strip() or 'true'}, without quotes"
+                message = f"{key}: {quote(given)} is a text"
+                problems.append(Diagnostic.error("default-invalid", message, where, help_))
+            elif key in SETTINGS:
                 value = str(int(given) if key == "verbose" and isinstance(given, bool) else given)
                 found.append(Default(key, "", value, source, str(where)))
                 problems += _wrong_value(found[-1], where, group)

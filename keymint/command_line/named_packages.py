@@ -125,7 +125,7 @@ def _found(
     if SPECIAL.search(text):
         pattern = parse(typed_subject(text))
         found = [name for subject, name in matched.items() if matches(pattern, subject)]
-        return found or _fail(session, f"matches {quote(text)}", did_you_mean(text, matched, otherwise or _LISTED))
+        return found or _fail(session, f"matches {quote(text)}", otherwise or _LISTED)  # one like it is another robot
     name = package_name(text)
     if known is None or name in known:
         return (name,)

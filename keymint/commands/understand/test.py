@@ -73,7 +73,7 @@ def test(
     percent = 100 * (len(rules) - len(idle)) / len(rules) if rules else 100.0
     warnings = [*diagnostics(results), *_idle(idle)]
     if percent < min_coverage:
-        message = f"rule coverage is {percent:.0f} %, below {min_coverage:g} %"
+        message = f"rule coverage is {int(10 * percent) / 10:g} %, below {min_coverage:g} %"
         warnings.append(Diagnostic.error("coverage-low", message, help="'keymint test -v' lists the others"))
     if junit is not None:
         suites = {file: [*_cases(file, checked)] for file, checked in by_file.items()}

@@ -131,6 +131,8 @@ def test_a_change_is_seen_although_the_answer_is_on_record(keymint, just_provisi
         ("jobs = 1.5\n", "default-invalid", 1, "jobs: '1.5' is not"),
         ("jobs = true\n", "default-invalid", 1, "jobs: 'True' is not"),
         ("jobs = [1]\n", "default-invalid", 1, "jobs"),
+        ("quiet = 'true'\n", "default-invalid", 1, "write quiet = true, without quotes"),
+        ("jobs = '4'\n", "default-invalid", 1, "write jobs = 4, without quotes"),
         ("color = 'blue'\n", "default-invalid", 1, "'always'"),
         ("within = 3\n", "default-invalid", 1, "not a length of time"),
         ("within = 'soon'\n", "default-invalid", 1, "30d"),

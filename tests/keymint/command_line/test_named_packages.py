@@ -84,3 +84,11 @@ def test_what_a_pattern_takes_away_needs_a_yes(keymint: Callable, provisioned: P
     assert "/robot1/listener, /talker" in stopped.err
     assert snapshot(provisioned) == before
     assert keymint(*words, pattern, "--yes", cwd=provisioned).code == 0
+
+
+@pytest.mark.parametrize("words", [("remove",), ("revoke", "--reason", "retired"), ("build", "--rekey")])
+def test_a_pattern_that_finds_nothing_names_nobody_else(keymint, provisioned: Path, words: tuple[str, ...]) -> None:
+    refused = keymint(*words, "/tal?err", cwd=provisioned)
+    assert refused.code != 0
+    assert "matches '/tal?err'" in refused.err
+    assert "talker" not in refused.err

@@ -64,6 +64,8 @@ def test_coverage(expect) -> None:
     assert outcome.out == "1 of 1 expectations hold; 1 of 3 rules are exercised (33 %)\n"
     assert "p.xml:3: note: no expectation covers this DENY ros_topic rule (ros_publish)" in outcome.err
     assert expect(one("allow", "/a", "publish", "/x/y"), options=("--min-coverage", "50")).code == 3
+    close = expect(one("allow", "/a", "publish", "/x/y"), options=("--min-coverage", "33.4"))
+    assert "rule coverage is 33.3 %, below 33.4 %" in close.err
     outcome = expect(
         one("allow", "/a", "publish", "/x/y"),
         one("deny", "/a", "publish", "/x/secret"),
