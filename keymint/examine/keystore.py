@@ -48,6 +48,16 @@ def issued_here(session: Session) -> Iterator[tuple[str, x509.Certificate, x509.
             yield name, certificate, issuer
 
 
+def _without_register(session: Session) -> Iterator[Diagnostic]:
+    """Yield a finding if revocations are not known without the register; else a note if anything was issued."""
+    try:
+        if complete_register(session).certificates:
+            where, help_ = session.workspace.origin(session.workspace.register), "restore it from a backup"
+            yield Diagnostic.note("register-lost", f"is missing: {_REGISTER}", where, help_)
+    except KeymintError as error:
+        yield from error.diagnostics
+
+
 def register_findings(session: Session) -> Iterator[Diagnostic]:
     """Yield a finding for each installed certificate of our authorities that is not as it was issued.
 
@@ -58,11 +68,7 @@ def register_findings(session: Session) -> Iterator[Diagnostic]:
         KeymintError: the register or a package has defects.
     """
     if session.tree.read(session.workspace.register) is None:
-        if not session.tree.is_left_out(session.workspace.register):
-            try:
-                complete_register(session)
-            except KeymintError as error:
-                yield from error.diagnostics
+        yield from () if session.tree.is_left_out(session.workspace.register) else _without_register(session)
         return
     register = register_of(session)
     for name, certificate, issuer in issued_here(session):
@@ -189,7 +195,7 @@ def _accepted(session: Session, authority: str) -> tuple[str, ...]:
 
 
 SHOWN_NOTES = frozenset(
-    {RIGHTS_OUTLIVE, "authority-key-missing", "identity-revoked", "not-examined", "subjects-uncreated"}
+    {RIGHTS_OUTLIVE, "authority-key-missing", "identity-revoked", "not-examined", "register-lost", "subjects-uncreated"}
 )
 """Codes of notes that are shown in any case: an owner must know of them."""
 _REGISTER = "which certificates were issued and revoked is not known"

@@ -173,7 +173,7 @@ def _restored(session: Session, *, lossy: bool) -> Register:
     register = register.with_issued(_barred(session, number, name) for number, name in enumerate(sorted(gone), 1))
     for file, name, authority in authority_files.issuers(session):
         path = session.workspace.revocation_list(file)
-        content = session.tree.read(path) or (_installed_list(session, authority) if lossy else None)
+        content = session.tree.read(path) or (installed_list(session, authority) if lossy else None)
         if content is None:
             continue
         found = revocation_lists.load(content, session.workspace.origin(path))
@@ -214,7 +214,7 @@ def _barred(session: Session, number: int, name: str) -> IssuedCertificate:
     return IssuedCertificate("", number, "", name, own.generation - 1, at, at, key, revoked=at, reason=UNKNOWN)
 
 
-def _installed_list(session: Session, authority: x509.Certificate) -> bytes | None:
+def installed_list(session: Session, authority: x509.Certificate) -> bytes | None:
     """Return the revocation list of an authority that enclaves have, which is the last one that they got, or None."""
     profile, found = session.profile, dict[int, bytes]()
     files = dict(revocation_files(session.build_types.values(), profile.distro, profile.layout, b"list"))

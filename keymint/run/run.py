@@ -371,7 +371,7 @@ class Run:
             guards = missing_gitignores(workspace, plan)
             intent = self.intent()
             who = self.setting.who() if plan.writes() else ("", "")
-            log = log_change(inputs, plan, self.verb, intent.command, who, self.setting.now)
+            log = log_change(inputs, plan, self.verb, f"{intent.command}{' --yes' * self.yes}", who, self.setting.now)
             with self.console.progress(len(plan.steps), self.setting.monotonic) as advance:
                 visible = execute(plan, inputs, store, self.crew, advance, intent, log)
             changes = itertools.chain(guards, plan.changes(), log)

@@ -9,12 +9,14 @@ from typing import Any
 
 import click
 
+from comarmor.errors import Diagnostic
 from comarmor.text import hexadecimal
+from keymint.authority.authority_files import issuers
 from keymint.command_line.options import validity
 from keymint.command_line.verb import Report, Run, flag, option, verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.life.revocation_lists_in_force import lists, loaded_lists
-from keymint.life.workspace_register import complete_register, register_change
+from keymint.life.workspace_register import complete_register, installed_list, register_change
 from keymint.names import subject_of
 from keymint.output.report import members
 from keymint.stages.pipeline import Request, conduct
@@ -88,8 +90,15 @@ def _shown(run: Run, session: Session, done: Report | None = None) -> Report:
     ]
     columns = {"AUTHORITY": "authority", "NUMBER": "number", "FROM": "this_update", "UNTIL": "next_update"}
     of_revoked = {"SERIAL": "serial", "SUBJECT": "subject", "REVOKED": "at", "REASON": "reason"}
+    done = done or run.report(workspace=session.workspace)
     if found:
         run.console.table(columns | of_revoked, [each | one for each in found for one in each["revoked"] or [{}]])
+    elif any(installed_list(session, authority) for *_, authority in issuers(session)):
+        run.console.line("no revocation list here, but installed enclaves have one")
+        where, help_ = session.workspace.origin(session.workspace.public), "restore public/ and private/ from a backup"
+        help_ += "; or remove private/register.sqlite3, and 'keymint crl --rebuild' takes over what the enclaves have"
+        lost = Diagnostic.warning("revocation-list-outdated", "the list of the enclaves is gone", where, help_)
+        done = replace(done, diagnostics=(*done.diagnostics, lost))
     else:
         run.console.line("no revocation list: nothing was ever revoked")
-    return replace(done or run.report(workspace=session.workspace), result={"lists": found})
+    return replace(done, result={"lists": found})

@@ -44,8 +44,9 @@ def test_each_run_that_writes_is_told(keymint, just_provisioned: Path, policy: P
     keymint("renew", "-w", "ws", "--dry-run")
     keymint("install", "-w", "ws")
     assert snapshot(just_provisioned)["private/" + LOG] == before
-    assert keymint("revoke", "talker", "--reason", "retired", "-w", "ws", "-q").code == 0
+    assert keymint("revoke", "talker", "--reason", "retired", "-w", "ws", "-q", "--yes").code == 0
     assert [run["verb"] for run in logged(keymint, just_provisioned)] == ["provision", "revoke"]
+    assert logged(keymint, just_provisioned)[1]["command"].endswith(" --yes")
     shown = keymint("status", "--log", "-w", "ws").out
     assert shown.splitlines()[0].split() == ["WHEN", "WHO", "VERSION", "WHAT"]
     assert "revoke talker --reason retired" in " ".join(shown.split())

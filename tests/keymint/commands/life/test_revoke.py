@@ -236,6 +236,27 @@ def test_a_register_made_again_bars_the_keys_of_what_was_revoked(provisioned: Pa
     assert keymint("check", cwd=provisioned).code == 0
 
 
+def test_lists_of_enclaves_alone_and_a_lost_register_are_told(provisioned: Path, keymint) -> None:
+    register = provisioned / "private/register.sqlite3"
+    old = register.read_bytes()
+    keymint("revoke", "talker", "--reason", "retired", cwd=provisioned)
+    register.write_bytes(old)
+    (provisioned / "public/identity_ca.crl.pem").unlink()
+    shown = keymint("crl", cwd=provisioned)
+    assert "nothing was ever revoked" not in shown.out
+    assert "'keymint crl --rebuild'" in shown.err
+    register.unlink()
+    assert keymint("crl", "--rebuild", cwd=provisioned).code == 0
+    assert len([*crl(provisioned / "public/identity_ca.crl.pem")]) == 1
+
+
+def test_check_tells_that_the_register_is_missing(provisioned: Path, keymint) -> None:
+    (provisioned / "private/register.sqlite3").unlink()
+    outcome = keymint("check", cwd=provisioned)
+    assert outcome.code == 0
+    assert "private/register.sqlite3: note: is missing: which certificates were issued" in outcome.err
+
+
 def test_an_old_register_does_not_take_revocations_back(provisioned: Path, keymint) -> None:
     register = provisioned / "private/register.sqlite3"
     old = register.read_bytes()
