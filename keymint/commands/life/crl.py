@@ -97,7 +97,7 @@ def _shown(run: Run, session: Session, done: Report | None = None) -> Report:
         run.console.line("no revocation list here, but installed enclaves have one")
         where, help_ = session.workspace.origin(session.workspace.public), "restore public/ and private/ from a backup"
         help_ += "; or remove private/register.sqlite3, and 'keymint crl --rebuild' takes over what the enclaves have"
-        lost = Diagnostic.warning("revocation-list-outdated", "the list of the enclaves is gone", where, help_)
+        lost = Diagnostic.warning("register-outdated", "the list of the enclaves is gone", where, help_)
         done = replace(done, diagnostics=(*done.diagnostics, lost))
     else:
         run.console.line("no revocation list: nothing was ever revoked")
