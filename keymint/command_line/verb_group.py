@@ -67,7 +67,7 @@ class VerbCommand(click.Command):
             words = {**foreign_words("options"), **foreign_words(ctx.command_path)}
             said = words.get(error.option_name, "")
             has_it = not said.startswith("-") or said.split()[0] in known
-            near = " or ".join(each for each in error.possibilities or () if not each.startswith("--no-"))
+            near = " or ".join(repr(each) for each in error.possibilities or () if not each.startswith("--no-"))
             hint = said if said and has_it else near
             message = f"No such option {error.option_name!r}." + (hint and f" Did you mean {hint}?")
             raise click.NoSuchOption(error.option_name, message, ctx=ctx) from None

@@ -45,7 +45,7 @@ def test_a_name_that_is_no_verb(keymint: Callable[..., Outcome], given: tuple[st
         ("renew --within 3d", " Did you mean --threshold?"),
         ("lint --format sarif", " Did you mean --sarif or --json?"),
         ("lint --junit x", " Did you mean --sarif or --json?"),
-        ("lint --sarf x", " Did you mean --sarif?"),
+        ("lint --sarf x", " Did you mean '--sarif'?"),
     ],
 )
 def test_an_option_of_other_tools(keymint: Callable[..., Outcome], given: str, said: str) -> None:
