@@ -83,9 +83,10 @@ def parse(text: str) -> tuple[Piece | TunableReference, ...]:
         elif braces := _BRACES.match(text, at):
             placeholder = braces[0]
             if placeholder not in tuple(Placeholder):
+                near = "{namespace}" if placeholder == "{ns}" else placeholder
                 raise ComArmorError(
                     f"{quote(placeholder)} is unknown, expected {{name}}, {{namespace}} or @{{TUNABLE}}",
-                    help=did_you_mean(placeholder, Placeholder, "for the character itself write \\{ or \\}"),
+                    help=did_you_mean(near, Placeholder, "for the character itself write \\{ or \\}"),
                     code="brace",
                 )
             pieces.append(Placeholder(placeholder))

@@ -158,6 +158,15 @@ def _element(root: etree._Element, path: str | None) -> etree._Element | None:
 _NAME = lazy_regex(r"\{([^}]*)\}([^\s',)]+)")
 
 
+_SAME = {
+    "ros_call": "ros_request",
+    "ros_request": "ros_call",
+    "ros_execute": "ros_operate",
+    "ros_operate": "ros_execute",
+}
+"""Permissions of services and actions that correspond; by their letters, a server would become a client."""
+
+
 def _unexpected(match: re.Match[str], vocabulary: SchemaVocabulary, element: etree._Element | None) -> tuple[str, str]:
     expected: Sequence[str] = match[2].split(", ") if match[2] else ()
     parent = None if element is None else element.getparent()
@@ -168,7 +177,8 @@ def _unexpected(match: re.Match[str], vocabulary: SchemaVocabulary, element: etr
         if match[1] in expected:
             return f"<{match[1]}> is not expected here", "move it, or remove it if it occurs more often than allowed"
     expectation = f"expected {_one_of(expected)}" if expected else "expected nothing more"
-    help_ = did_you_mean(match[1], expected)
+    same = _SAME.get(match[1])
+    help_ = f"did you mean '{same}'?" if same in expected else did_you_mean(match[1], expected)
     if match[1].endswith("}include"):
         help_ = f'the namespace of xi:include is "{XINCLUDE}"'
     if not help_ and match[1] not in vocabulary.names and (hint := did_you_mean(match[1], vocabulary.names)):

@@ -184,7 +184,9 @@ def file_in(files: Mapping[str, bytes], path: str, where: Origin, space: str) ->
         raise KeymintError(
             f"there is no file {quote(path, 200)} in the {space}",
             where=where,
-            help=did_you_mean(inside, files, "create it, or correct the path"),
+            help=did_you_mean(
+                inside, files, "restore it, e.g. from version control, or correct the path", similarity=0.85
+            ),
             code="file-missing",
         )
     return files[inside]

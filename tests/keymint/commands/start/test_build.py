@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -232,3 +233,11 @@ def test_provision_replaces_the_keys_that_are_named(keymint, policy: Path, tmp_p
     assert [old == new for old, new in zip(before, after, strict=True)] == [False, True]
     assert keymint("check", "-w", "ws").code == 0
     assert keymint("provision", policy, "-w", "ws", "--rekey", "/nobody").code == 1
+
+
+def test_defaults_that_were_deleted_are_to_be_restored(keymint, created: Path) -> None:
+    shutil.rmtree(created / "profile/package.defaults")
+    refused = keymint("build", cwd=created)
+    assert refused.code == 1
+    assert "no file 'package.defaults/identities.xml' in the package or its profile (restore it" in refused.err
+    assert "did you mean" not in refused.err
