@@ -55,6 +55,7 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
         "status": "Show the stage and the expiry of every package.",
         "verify": "Report mismatches between policy and implementations of transports, edge by edge.",
         "prove": "Prove that installed documents permit exactly what the policy allows, for all names.",
+        "report": "Write evidence for an audit: rights by risk, certificates, changes, proofs, findings, runs.",
     },
     "Life": {
         "renew": "Renew certificates and permissions that are due.",

@@ -106,8 +106,8 @@ _VALUES: Mapping[str, Callable[[Run, click.Context], Iterable[str]]] = {
     "value": lambda run, context: _profile_type(run, context).choices(str(context.params.get("setting"))),
     "transports": lambda run, _: (each.TRANSPORT for each in _build_types(run)),
     "layout": lambda run, _: chain.from_iterable(each.LAYOUTS for each in _build_types(run)),
-    "vendors": lambda run, _: chain.from_iterable(each.VENDORS for each in _build_types(run)),
-    "check vendors": lambda run, _: (f"{name}=" for each in _build_types(run) for name in each.VENDORS),
+    "replace vendors": lambda run, _: chain.from_iterable(each.VENDORS for each in _build_types(run)),
+    "vendors": lambda run, _: (f"{name}=" for each in _build_types(run) for name in each.VENDORS),
     "trust_package": lambda run, _: (name for name, *_ in InstalledPackages(run.setting.environment).shipping()),
     "create given": lambda run, context: (each[i:] for each in _policy(run, context).subjects() for i in (0, 1)),
     "form": _formats,
@@ -117,10 +117,10 @@ _VALUES: Mapping[str, Callable[[Run, click.Context], Iterable[str]]] = {
         ("given", "rekey", "enclave"),
         lambda run, _: (each for name in packages(Tree(), run.workspace().src) for each in (name, subject_of(name))),
     ),
-    **dict.fromkeys(("name", "names", "new_authority"), _authorities),
+    **dict.fromkeys(("name", "names", "new_authority", "report sign"), _authorities),
     **dict.fromkeys(
         ("request name", "subject", "graph named", "namespaces"), lambda run, context: _policy(run, context).subjects()
     ),
-    **dict.fromkeys(("object", "object_name", "but"), _objects),
+    **dict.fromkeys(("object", "object_name", "but", "safety"), _objects),
 }
 """The values by the name of the parameter, with its verb before it where others have the same name."""

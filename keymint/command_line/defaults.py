@@ -23,7 +23,7 @@ from keymint.view.file_reading import read_file
 
 MAX_BYTES = 1 << 16
 """Largest file of defaults that is read."""
-_WRITERS = ("build", "check", "create", "init", "install", "prove", "provision", "verify")
+_WRITERS = ("build", "check", "create", "init", "install", "prove", "provision", "report", "verify")
 SETTINGS: Mapping[str, tuple[str, Collection[str]]] = {
     "color": ("auto", ()),
     "format": ("text, table", ("diff", "status")),

@@ -40,8 +40,8 @@ def html_report(labelled: LabelledGraph, sources: Mapping[str, bytes], picture: 
         picture: drawing options of its picture; the theme follows the reader's preference.
     """
     page = _Page(labelled, tuple(sources), picture or DrawingOptions())
-    style = _text("report.css") + style_sheet(Theme.AUTO)
-    script = _text("report.js")
+    style = template_text("report.css") + style_sheet(Theme.AUTO)
+    script = template_text("report.js")
     rows = page.rows()
     counts = labelled.counts
     missing = labelled.left_out(listed_edges(labelled))
@@ -49,7 +49,7 @@ def html_report(labelled: LabelledGraph, sources: Mapping[str, bytes], picture: 
         "title": one_line(labelled.title),
         "style": Markup(style),  # noqa: S704 - ours
         "script": Markup(script),  # noqa: S704 - ours
-        "policy": f"default-src 'none'; style-src {_digest(style)}; script-src {_digest(script)}; "
+        "policy": f"default-src 'none'; style-src {policy_source(style)}; script-src {policy_source(script)}; "
         "base-uri 'none'; form-action 'none'",
         "size": size_words(labelled),
         "made": [one_line(text) for text in labelled.made],
@@ -77,11 +77,13 @@ def html_report(labelled: LabelledGraph, sources: Mapping[str, bytes], picture: 
     return environment().get_template("report.html.j2").render(context).encode()
 
 
-def _text(name: str) -> str:
+def template_text(name: str) -> str:
+    """Return the text of a style sheet or a script."""
     return resources.files(__package__).joinpath("templates", name).read_text(encoding="utf-8")
 
 
-def _digest(text: str) -> str:
+def policy_source(text: str) -> str:
+    """Return how a content security policy names a style sheet or a script of the page: by its digest."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
 
 

@@ -116,6 +116,10 @@ def encryption(session: Session) -> Iterator[Diagnostic]:
                 yield Diagnostic.warning("key-plain", message, session.workspace.origin(path), help_)
 
 
+EXPOSURES = frozenset({"key-was-exposed", "key-tracked", "key-exposed", "file-mode"})
+"""Codes of findings on secrets that others can read, or could read."""
+
+
 def exposed_keys(session: Session) -> Iterator[Diagnostic]:
     """Yield a warning for each private key in use that others could read before it was taken over.
 

@@ -9,6 +9,7 @@ import tarfile
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from datetime import datetime
 from pathlib import Path
 
 from keymint.errors import KeymintError
@@ -61,6 +62,24 @@ def at_revision(text: str, folder: Path, environment: Mapping[str, str]) -> Iter
                 code="revision",
             )
         yield name, extracted, root
+
+
+def revision_before(moment: datetime, folder: Path, environment: Mapping[str, str]) -> str:
+    """Return the latest commit of the current branch at a time, by the date that its committer gave it.
+
+    Args:
+        moment: the time, UTC.
+        folder: a folder of the repository.
+        environment: environment variables for git.
+
+    Raises:
+        KeymintError: there is no git, no repository, or no commit that is as old.
+    """
+    arguments = ("rev-list", "--max-count=1", f"--before={moment.isoformat()}", "HEAD")
+    if commit := run_git(arguments, folder, environment).decode().strip():
+        return commit
+    message = f"no commit is as old as {moment:%Y-%m-%d %H:%M} UTC"
+    raise KeymintError(message, help="name a later time, or a revision", code="revision")
 
 
 def run_git(arguments: tuple[str, ...], folder: Path, environment: Mapping[str, str], revision: str = "") -> bytes:

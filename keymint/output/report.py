@@ -131,7 +131,7 @@ def report_json(report: Report) -> dict[str, Any]:
         "exit_code": int(report.exit_code),
         "summary": dict(sorted(Counter(str(step.action) for step in report.steps).items())),
         "steps": [_step(step, workspace) for step in report.steps],
-        "diagnostics": [_diagnostic(diagnostic) for diagnostic in report.diagnostics],
+        "diagnostics": [diagnostic_json(diagnostic) for diagnostic in report.diagnostics],
         "result": dict(report.result),
     }
 
@@ -151,7 +151,8 @@ def _step(step: Step, workspace: Workspace | None) -> dict[str, Any]:
     }
 
 
-def _diagnostic(diagnostic: Diagnostic) -> dict[str, Any]:
+def diagnostic_json(diagnostic: Diagnostic) -> dict[str, Any]:
+    """Return a diagnostic as JSON data."""
     where = diagnostic.where
     return {
         "code": diagnostic.code,

@@ -27,6 +27,7 @@ from keymint.command_line.options import PolicyOptions, kind_option, policy_opti
 from keymint.command_line.verb import Report, Run, argument, findings_if, flag, option, verb
 from keymint.errors import usage_error
 from keymint.names import RAW, typed_permission, typed_subject
+from keymint.output.audit_rights import holder_json
 from keymint.output.json import line_json
 from keymint.output.report import members
 
@@ -89,16 +90,16 @@ def _parse(words: Sequence[str], kind: str, partition: str) -> _Question:
         number = "few" if len(rest) < len(expected) else "many"
         raise usage_error(f"the query has too {number} words", f"write '{form}'", "question")
     subjects = tuple(
-        _expression(typed_subject(text)) for text, word in zip(rest, expected, strict=True) if word == "SUBJECT"
+        legal_expression(typed_subject(text)) for text, word in zip(rest, expected, strict=True) if word == "SUBJECT"
     )
     if "OBJECT" not in expected:
         return _Question(head, subjects)
     *_, permission, name = rest
-    return _Question(head, subjects, *typed_permission(permission, name, kind), _expression(name), partition)
+    return _Question(head, subjects, *typed_permission(permission, name, kind), legal_expression(name), partition)
 
 
-def _expression(text: str) -> str:
-    """Return an expression that is right.
+def legal_expression(text: str) -> str:
+    """Return an expression of subjects or objects that is right.
 
     Raises:
         KeymintError: it has an error.
@@ -147,7 +148,7 @@ def query(
             "use it with 'flows' or 'isolated'",
         )
     for expression in but:
-        _expression(expression)
+        legal_expression(expression)
     policies = Policies(run, policy_options)
     policy = policies.load(path)
     if about_flows:
@@ -246,13 +247,7 @@ def _holder(run: Run, holder: PermissionHolder, question: _Question) -> str:
 
 
 def _as_data(holder: PermissionHolder, question: _Question) -> dict[str, Any]:
-    return {
-        **members(holder, "subject", "like"),
-        "permission": question.permission,
-        "object": display_name(question.kind, holder.word) or None,
-        "rule": line_json(holder.where),
-        **members(holder, "unknown"),
-    }
+    return holder_json(holder, question.kind, question.permission)
 
 
 def _what(run: Run, policy: LoadedPolicy, question: _Question) -> _Answer:

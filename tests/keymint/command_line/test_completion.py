@@ -20,7 +20,7 @@ FREE = {
     # numbers, lengths of time, texts and digests
     *("--authority-fingerprint", "--budget", "--domain", "--fingerprint", "--jobs", "--limit", "--min-coverage"),
     *("--partition", "--pin-env", "--pkcs11", "--scale", "--seconds", "--states", "--threshold", "--title"),
-    *("--valid-for", "--within"),
+    *("--valid-for", "--within", "--soon", "--since"),
     # identifiers in a capture that is read later
     "discover --subject",
     # policies: a file, a folder, or REVISION:PATH

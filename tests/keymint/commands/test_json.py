@@ -43,6 +43,7 @@ CALLS = {
     "crl": ["crl", "-w", "ws"],
     "renew": ["renew", "talker", "-w", "ws"],
     "status": ["status", "-w", "ws"],
+    "report": ["report", "-o", "audit.html", "-w", "ws"],
     "provision": ["provision", "policy.xml", "-w", "third"],
     "discover": ["discover", "--from", "graph.json"],
     "learn": ["learn", "graph.json"],
