@@ -70,6 +70,7 @@ EXCEPTIONS = (
     Allowed("keymint/pki/tokens/token_sessions.py", "pkcs#11 file", "p11-kit, the system's list of modules for tokens"),
     Allowed("comarmor/rules.py", "dds", "the title of the ROS 2 design document"),
     Allowed("comarmor/rules.py", "wire prefix", "the names of raw topics in policies, for advice on mistaken ones"),
+    Allowed("keymint/commands/assure/report.py", "s/mime file", "the same for the signature of a report"),
     Allowed("keymint/pki/smime.py", "s/mime file", "the file name that RFC 8551, 3.2.1, gives to a signature"),
 )
 
