@@ -167,14 +167,14 @@ class Console:
             self.line(text)
 
     def document(self, content: bytes) -> None:
-        """Write a document that is the result, unless quiet or JSON.
+        """Write a document that is the result, also if quiet: who asked for it reads it. Not in JSON.
 
         Written byte for byte into files and pipes; on a terminal unprintable characters are escaped.
 
         Args:
             content: UTF-8; ends with exactly one newline in the output.
         """
-        if self._json or self._verbosity < 0:
+        if self._json:
             return
         content = content.rstrip(b"\n") + b"\n"
         if self._streams.out.isatty():
