@@ -129,18 +129,18 @@ def exposed_keys(session: Session) -> Iterator[Diagnostic]:
     found = []
     for each in session.profile.authorities:
         if each.issuance.exposed in trusted:
-            where, verb = workspace.origin(workspace.authority_key(each.name)), f"authority replace {each.name}"
-            found.append((f"the authority {each.name!r}", where, verb, ""))
+            where = workspace.origin(workspace.authority_key(each.name))
+            found.append((f"the authority {each.name!r}", where, f"keymint authority replace {each.name}", ""))
     for name in session.packages():
         with suppress(KeymintError):  # reported with the package
             fingerprint = session.issuance(name).exposed
             certificate = installed_certificate(session, name) if fingerprint else None
             if certificate and fingerprint == certificates.fingerprint(certificate):
                 subject = subject_of(name)
-                found.append((subject, place_of(session, name), f"renew --rekey {name}", subject))
-    for whose, where, verb, subject in found:
+                found.append((subject, place_of(session, name), f"keymint renew --rekey {name}", subject))
+    for whose, where, command, subject in found:
         message = f"others could read the private key of {whose} before it was taken over: it counts as exposed"
-        yield Diagnostic.warning("key-was-exposed", message, where, f"'keymint {verb}' ends it", subject)
+        yield Diagnostic.warning("key-was-exposed", message, where, f"'{command}' ends it", subject)
 
 
 # -- git ------------------------------------------------------------------------------------------------------------

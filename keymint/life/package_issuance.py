@@ -198,8 +198,8 @@ def _limits(
             f"the subject name has no generation: permissions that were signed before {fit}"
             + (f" [{quantity(len(same), 'package')}]" if len(same) > 1 else ""),
             package.grant.defaults_origin or session.package_marker(same[0]),
-            "write {unique} into both subject names (--subject-format unique), or renew with --rekey and another "
-            "identity authority",
+            "write {unique} into both subject names (--subject-format unique), or run 'keymint renew --rekey NAME' "
+            "with another identity authority",
             package.subject,
         )
 

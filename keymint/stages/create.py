@@ -388,7 +388,7 @@ def not_pruned(session: Session, policy: api.LoadedPolicy, told: Collection[str]
     left = [each for each in subjects if policy.rules(each) is None]
     if not left:
         return ()
-    message = f"--prune removes enclaves without a package; no profile of the policy applies to {first_few(left)}"
+    message = f"no profile of the policy applies to {first_few(left)}, whose package is still there"
     help_ = f"'keymint remove {left[0]}' removes package, enclave and key, and revokes its certificate"
     return (Diagnostic.warning("subject-unnamed", message, None, help_),)
 

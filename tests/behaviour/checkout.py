@@ -43,7 +43,7 @@ class Checkout:
         path = os.pathsep.join(str(each) for each in (self.metadata, root, root / "plugins"))
         self._base = {
             "PATH": os.environ.get("PATH", os.defpath), "PYTHONPATH": path, "LANG": "C.UTF-8", "TERM": "dumb",
-            "COLUMNS": "100", "PYTHONDONTWRITEBYTECODE": "1", "TZ": "UTC",
+            "COLUMNS": "300", "PYTHONDONTWRITEBYTECODE": "1", "TZ": "UTC",
         }  # fmt: skip
         self._process = subprocess.Popen(
             [sys.executable, "-P", str(_RUNNER)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,

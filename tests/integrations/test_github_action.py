@@ -148,7 +148,8 @@ def test_a_policy_that_cannot_be_read(tmp_path: Path, api: Api) -> None:
     assert "::error file=comarmor.d/p.xml,line=2::not well-formed XML" in job.log
     assert "| lint | **failed**, 1 finding |" in api.comments[-1]["body"]
     assert "provision" not in job.summary
-    assert job.outputs["sarif"] == ""
+    (result,) = json.loads(Path(job.outputs["sarif"]).read_text())["runs"][0]["results"]
+    assert result["locations"][0]["physicalLocation"]["region"]["startLine"] == 2
 
 
 @pytest.fixture

@@ -194,8 +194,9 @@ def disturb(
 
 
 def one_line(ended: Ended) -> str:
-    """Return the only line that a failed run printed, beside warnings of its plan."""
-    [line] = (line for line in ended.output.splitlines() if line and ": warning: " not in line)
+    """Return the only line that a failed run printed, beside what it said of its plan."""
+    planned = re.compile(r": (warning|note): |subjects? gains?, ")
+    [line] = (line for line in ended.output.splitlines() if line and not planned.search(line))
     return line
 
 

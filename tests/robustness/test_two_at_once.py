@@ -56,7 +56,7 @@ def test_a_run_that_waits_for_the_workspace_lock_reports_it_and_then_does_its_wo
         assert not (folder / "ws" / "src").exists()
     said = [run.communicate(timeout=60) for run in runs]
     assert [run.returncode for run in runs] == [0, 0]
-    assert [err for _, err in said] == ["", ""]
+    assert all(": note: " in line for _, err in said for line in err.splitlines())
     # One does all of it, and the other sees that it is done.
     assert sorted("nothing to do" in out for out, _ in said) == [False, True]
     require_clean(folder, keymint)
@@ -124,7 +124,8 @@ def test_a_plan_that_fails_because_another_run_creates_the_workspace_is_made_aga
     def meanwhile(*_arguments: object, **_options: object) -> NoReturn:
         patch.undo()
         other = start(folder, "provision", folder / "policy.xml")
-        assert (other.communicate(timeout=60)[1], other.returncode) == ("", 0)
+        other.communicate(timeout=60)
+        assert other.returncode == 0
         raise KeymintError("a file of the workspace is missing")
 
     with pytest.MonkeyPatch.context() as patch:

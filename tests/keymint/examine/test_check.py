@@ -70,8 +70,8 @@ def test_sarif(keymint, provisioned: Path) -> None:
     assert [each[0] for each in found] == ["file-mode", "file-missing", "document-differs"]
     assert found == listed
     before = snapshot(provisioned)
-    assert keymint("check", "--sarif", "../clean.sarif", "nobody", cwd=provisioned).code == 1
-    assert not (provisioned.parent / "clean.sarif").exists()
+    assert keymint("check", "--sarif", "../refused.sarif", "nobody", cwd=provisioned).code == 1
+    assert '"package-unknown"' in (provisioned.parent / "refused.sarif").read_text()
     assert snapshot(provisioned) == before
 
 

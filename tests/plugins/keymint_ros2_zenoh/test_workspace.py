@@ -186,7 +186,7 @@ def test_another_router_needs_another_package(ws: Path, keymint: Callable) -> No
     assert "remove the package's folder, then run 'keymint create --all'" in outcome.err
     shown = keymint("status", "-w", ws).out
     assert [line.split()[0] for line in shown.splitlines()[1:6]] == [
-        "listener", "talker", "zenoh_router", "fleet/router", "shared",
+        "fleet/router", "listener", "talker", "zenoh_router", "shared",
     ]  # fmt: skip
     assert "talker: ws/profile/package.defaults/zenoh.xml:" in shown
     shutil.rmtree(ws / "src/zenoh_router")
