@@ -65,7 +65,7 @@ class TestEncryption:
         assert key(asked, NAMES[0]).stat().st_mode & 0o777 == 0o600
         after = {path: content for path, content in snapshot(asked).items() if not path.startswith(".keymint")}
         changed = {path for path in before.keys() | after.keys() if before.get(path) != after.get(path)}
-        assert changed <= {"private", f"private/{NAMES[0]}.key.pem"}
+        assert changed <= {"private", f"private/{NAMES[0]}.key.pem", "private/runs.jsonl"}
         assert found(keymint("check", "--json", cwd=asked, env=PASSWORD)) == [
             ("warning", "key-plain", f"private/{NAMES[1]}.key.pem")
         ]

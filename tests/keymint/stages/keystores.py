@@ -45,7 +45,9 @@ def trusted(ws: Path) -> dict[str, bytes]:
 
 
 def content(ws: Path) -> dict[str, bytes]:
-    return {name: data for name, (_, _, data) in snapshot(ws).items() if not name.startswith(".keymint")}
+    """Return the files of a workspace, without what is recorded of runs."""
+    recorded = (".keymint", "private/runs.jsonl")
+    return {name: data for name, (_, _, data) in snapshot(ws).items() if not name.startswith(recorded)}
 
 
 def another_key(_ws: Path, path: Path) -> None:
