@@ -74,8 +74,8 @@ def test_the_answer_is_what_carrying_it_out_prints(
     first = keymint(*command)
     assert first.code == 0, first.err
     second = keymint(*command)
-    # After a run with diagnostics, or with documents that all packages share, the second one is carried out; not if they
-    # are about packages that were new.
+    # After a run with diagnostics, or with documents that all packages share, the second one is carried out; not if the
+    # diagnostics are about packages that were new.
     told = keymint("provision", "p", "-w", "other", *others, "--json").document["diagnostics"]
     certain = {each["code"] for each in told} <= {"node-cannot-start", "parameter-client-cannot-start"}
     assert recalled[:2] == [False, certain and policy != "zenoh"]

