@@ -20,6 +20,7 @@ here
 ``bundles``                                   may a robot take a bundle
 ``weaknesses``                                what Keymint would have made otherwise: ``keymint harden``
 ``nodes``                                     what the rules keep from starting
+``report_signer``                             who may sign a report: an authority that no robot obeys
 below, since stages and the life of keys ask
 ``keymint.pki.examine``                       certificate, key and authority of an enclave, and its dates; the path
                                               of a certificate (RFC 5280)

@@ -33,7 +33,7 @@ def test_help_lists_every_verb(keymint) -> None:
 
 
 WRITING = {f"authority {verb}" for verb in ("renew", "replace", "encrypt", "import")}
-WRITING |= {"init", "create", "build", "install", "prove", "provision", "discover", "learn", "graph"}
+WRITING |= {"init", "create", "build", "install", "prove", "provision", "discover", "learn", "graph", "report"}
 WRITING |= {
     "import",
     "fmt",

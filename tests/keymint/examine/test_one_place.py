@@ -30,8 +30,7 @@ TWICE = {
         "zenoh-common-name", "zenoh-host-name", "zenoh-key-usage",
     },
     "the verb that would need it refuses": {
-        "adopt-unsupported", "authority-missing", "bundle-dates", "identity-revoked",
-        "rollover-incomplete",
+        "adopt-unsupported", "authority-missing", "bundle-dates", "rollover-incomplete",
     },
     "as imported, and as the profile specifies it": {"authority-drift"},
     "two transports": {"drift", "file-unexpected"},
