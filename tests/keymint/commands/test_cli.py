@@ -51,7 +51,7 @@ WRITING |= {
     "issued",
 }
 """Verbs that write files, so that they have ``--dry-run``."""
-STAGES = {"init", "create", "build", "install", "provision", "prove", "verify", "check"}
+STAGES = {"init", "create", "build", "install", "provision", "prove", "verify", "check", "report"}
 """Verbs that divide packages among processes, so that they have ``--jobs``."""
 ELSEWHERE = {
     "explain",
