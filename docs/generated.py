@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pages of the reference that are made from the code: verbs from click, files of a workspace from their schemas.
+"""Pages of the reference that are made from the code: verbs from click, codes, and files of a workspace from schemas.
 
 Sphinx calls :func:`setup`, which writes them to ``docs/reference/generated/``, of which git keeps nothing.
 """
@@ -17,6 +17,7 @@ from lxml import etree
 from sphinx.application import Sphinx
 
 from keymint.cli import cli
+from keymint.commands.tool.explain import PARTS, explanations
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 FOLDER = CHECKOUT / "docs" / "reference" / "generated"
@@ -64,6 +65,20 @@ def write() -> None:
         listed = "\n".join(pages)
         index = f"# {title}\n\n```{{toctree}}\n:maxdepth: 1\n\n{listed}\n```\n"
         (FOLDER / folder / "index.md").write_text(index)
+    (FOLDER / "codes.md").write_text(codes_page())
+
+
+# -- codes -------------------------------------------------------------------------------------------------------------
+
+
+def codes_page() -> str:
+    """Return the page of the codes of errors and findings, with the texts of ``keymint explain``."""
+    lines = ["# Codes", "", "Each message ends with its code; `keymint explain CODE` prints the same.", ""]
+    for name, texts in explanations().items():
+        lines += [f"## {name}", ""]
+        lines += [f"* **{part}**: {escaped(' '.join(texts[part].split()))}" for part in PARTS]
+        lines.append("")
+    return "\n".join(lines)
 
 
 # -- verbs -------------------------------------------------------------------------------------------------------------

@@ -73,6 +73,13 @@ def test_each_file_of_a_workspace_has_a_page(site: Path) -> None:
     assert "issuer_name" in text_of(folder / "authorities.xml.html")
 
 
+def test_each_code_has_its_place_with_cause_effect_and_remedy(site: Path) -> None:
+    codes = (CHECKOUT / "tests" / "golden_codes.txt").read_text().split()
+    page = (site / "reference" / "generated" / "codes.html").read_text()
+    assert [code for code in codes if f'id="{code}"' not in page] == []
+    assert page.count("<strong>remedy</strong>") == len(codes)
+
+
 def test_the_pages_of_programs(site: Path) -> None:
     assert "class keymint.api.BuildType" in text_of(site / "reference" / "plugins.html")
     assert "class keymint.client.Client" in text_of(site / "reference" / "client.html")
