@@ -76,7 +76,7 @@ def sign(text: bytes, certificate: x509.Certificate, key: PrivateKey) -> bytes:
     """Return a detached signature over a text, with SHA-256, in DER.
 
     The library makes the first one of a signer. Others are made of its parts, at a quarter of the cost: only the digest
-    of the text and the signature are new, and so the signing time, which nobody judges, is that of the first one.
+    of the text and the signature are new, so the signing time, which nobody judges, is that of the first one of a run.
     """
     if not is_in_memory(key):
         return _by_library(text, certificate, key)
@@ -86,6 +86,11 @@ def sign(text: bytes, certificate: x509.Certificate, key: PrivateKey) -> bytes:
     signer = der.tlv(der.SEQUENCE, head, der.tlv(der.CONTEXT_0, signed), algorithm, der.tlv(der.OCTET_STRING, value))
     content = der.tlv(der.SEQUENCE, before, der.tlv(der.SET, signer))
     return der.tlv(der.SEQUENCE, _SIGNED_DATA, der.tlv(der.CONTEXT_0, content))
+
+
+def begin_run() -> None:
+    """Have the library make the next signature of each signer, with the time of then: a long process begins runs so."""
+    _parts_of_signer.cache_clear()
 
 
 @functools.lru_cache(maxsize=16)

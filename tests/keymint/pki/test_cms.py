@@ -39,6 +39,18 @@ def test_signatures_of_all_keys_and_digests_verify(spec, kind: KeySpec, digest) 
     assert cms.verify(own, TEXT, issuer.certificate)
 
 
+def test_each_run_of_a_long_process_has_its_signing_time(spec, monkeypatch: pytest.MonkeyPatch) -> None:
+    key = keys.generate(KeySpec("ec", "SECP256R1"))
+    signer = certificates.issue(spec("CN=ca"), key.public_key(), key, authority=True).certificate
+    asked: list[bytes] = []
+    library = cms._by_library
+    monkeypatch.setattr(cms, "_by_library", lambda *given: asked.append(given[0]) or library(*given))
+    for runs in (1, 2):
+        cms.begin_run()
+        assert [cms.verify(cms.parse(cms.sign(TEXT, signer, key)), TEXT, signer) for _ in range(3)] == [True] * 3
+        assert len(asked) == runs
+
+
 @pytest.mark.parametrize(
     "kind", [KeySpec("ec", "SECP256R1"), KeySpec("ec", "SECP384R1"), KeySpec("rsa", size=2048)], ids=str
 )
