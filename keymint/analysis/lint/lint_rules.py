@@ -76,7 +76,8 @@ def lint(policy: LoadedPolicy) -> list[Diagnostic]:
         for reason in given_up
     ]
     own = {subject: subjects[subject] for subject in named if subject in subjects}
-    findings += (*similar_names(own, attachments), *object_mistakes(policy, own, attachments))
+    others = [rule for subject, rules in subjects.items() if subject not in own for rule in rules]
+    findings += (*similar_names(own, attachments), *object_mistakes(policy, own, others, attachments))
     if written:
         findings += (*similar_subjects(written), *attachment_mistakes(written), *root_names(policy, written))
     return sorted_diagnostics(findings)

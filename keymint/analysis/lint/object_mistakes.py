@@ -8,14 +8,14 @@ nobody may call it.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from comarmor.errors import Diagnostic, Origin, Spot
 from comarmor.patterns.glob import literal, parse, prefix
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.rules import KIND_OF, Effect
 from comarmor.text import quantity
-from keymint.analysis.lint.findings import ExpressionOrigins
+from keymint.analysis.lint.findings import ExpressionOrigins, undecided_note
 from keymint.analysis.lint.name_similarity import MOST_EDITS, CandidateNames
 from keymint.analysis.query import who_can
 from keymint.api import LoadedPolicy
@@ -28,19 +28,25 @@ _SERVED = "/get_parameters"
 _CALL = {"ros_execute": "ros_call", "ros_operate": "ros_request"}
 """The permission of clients, by that of servers."""
 _EVERYBODY = parse("*")
+MOST_QUESTIONS = 50
+"""So often all possible subjects are asked about: each question takes as long as the policy is."""
 _EVERY_NAME = frozenset(map(parse, ("*", "/*", "?*", "/?*")))
 _Expression = tuple[Rule, str, str]
 """A rule, one of its expressions, and the first subject that the rule applies to."""
 
 
 def object_mistakes(
-    policy: LoadedPolicy, subjects: Mapping[str, tuple[Rule, ...]], attachments: ExpressionOrigins
+    policy: LoadedPolicy,
+    subjects: Mapping[str, tuple[Rule, ...]],
+    others: Iterable[Rule],
+    attachments: ExpressionOrigins,
 ) -> Iterator[Diagnostic]:
     """Yield warnings about the objects of ALLOW rules, each cause once.
 
     Args:
         policy: the policy.
         subjects: the rules of each subject that it names.
+        others: the rules of examples of all other subjects.
         attachments: attachments of their expressions.
     """
     allowed = [
@@ -66,7 +72,7 @@ def object_mistakes(
     for each in expressions:
         if each[0].kind == "ros_parameter" and not any(True for _ in index.meeting(parse(each[1] + _SERVED))):
             yield from _of_parameter(each, place(each), nodes)
-    yield from _uncalled(policy, allowed)
+    yield from _uncalled(policy, allowed, others)
 
 
 def _is_wide(rule: Rule, text: str) -> bool:
@@ -98,20 +104,39 @@ def _of_parameter(found: _Expression, where: Origin, nodes: set[str]) -> Iterato
         yield Diagnostic.warning("parameter-object", message, where, f"did you mean {near!r}?", subject)
 
 
-def _uncalled(policy: LoadedPolicy, allowed: Iterable[_Expression]) -> Iterator[Diagnostic]:
-    """Yield services and actions that several subjects serve and nobody may call."""
+def _uncalled(policy: LoadedPolicy, allowed: Sequence[_Expression], others: Iterable[Rule]) -> Iterator[Diagnostic]:
+    """Yield services and actions that several subjects serve and nobody may call.
+
+    The subjects that the policy names are asked first, each about the names that its own rules are about. All possible
+    subjects are asked only if other ones have the permission to call anything.
+    """
     servers: dict[tuple[str, str], dict[str, Origin]] = defaultdict(dict)
     for rule, text, subject in allowed:
         for permission in _CALL.keys() & rule.permissions:
             servers[permission, text].setdefault(subject, rule.origin)
+    callers = {
+        call: PatternIndex((parse(text), subject) for rule, text, subject in allowed if call in rule.permissions)
+        for call in _CALL.values()
+    }
+    called_by_others = {permission for rule in others for permission in rule.permissions}
+    asked = 0
     for (permission, name), places in servers.items():
         if len(places) == 1 or literal(parse(name)) is None:
             continue
         kind, call = KIND_OF[permission], _CALL[permission]
-        if any(True for _ in who_can(policy, _EVERYBODY, kind, call, parse(name))):
+        named = dict.fromkeys(parse(subject) for _, subject in callers[call].meeting(parse(name)))
+        if any(True for each in named for _ in who_can(policy, each, kind, call, parse(name))):
             continue
-        (one, where), (two, other), *others = places.items()
-        more = f" and {quantity(len(others), 'other subject')}" if others else ""
+        if call in called_by_others:
+            asked += 1
+            if asked > MOST_QUESTIONS:
+                message = f"nobody asked whether anyone may {call} {name!r} and others that several subjects serve"
+                yield undecided_note(message, places[next(iter(places))], "lint parts of the policy")
+                return
+            if any(True for _ in who_can(policy, _EVERYBODY, kind, call, parse(name))):
+                continue
+        (one, where), (two, other), *more_places = places.items()
+        more = f" and {quantity(len(more_places), 'other subject')}" if more_places else ""
         yield Diagnostic.warning(
             "served-twice",
             f"{one} and {two} ({other.alone()}){more} may {permission} the {kind} {name!r}, and nobody may {call} it",

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from keymint.analysis.lint.lint_rules import lint
+from keymint.analysis.lint.object_mistakes import MOST_QUESTIONS
 from tests.keymint.analysis.lint.test_lint_rules import found
-from tests.keymint.analysis.policies import loaded, profile, rule
+from tests.keymint.analysis.policies import deny, loaded, profile, rule
 
 SERVES = rule("ros_service", "ros_execute", "{namespace}{name}/get_parameters", "{namespace}{name}/set_parameters")
 
@@ -78,6 +79,29 @@ def test_what_two_serve_and_nobody_calls(tmp_path: Path, kind: str, serve: str, 
     callers = [profile("/c", rule(kind, call, caller))] if caller else []
     expected = [("served-twice", 3)] if caller in {"", "/other"} else []
     assert found(tmp_path, *servers, *callers) == expected
+
+
+@pytest.mark.parametrize("caller", ["/client*", "/*", "/client"])
+@pytest.mark.parametrize("denied", [False, True])
+def test_who_calls_may_be_a_pattern_of_subjects_or_be_denied(tmp_path: Path, caller: str, denied: bool) -> None:
+    servers = [profile(name, rule("ros_service", "ros_execute", "/go")) for name in ("/a", "/b")]
+    rules = [rule("ros_service", "ros_call", "/go"), *([deny("ros_service", "ros_call", "/go")] if denied else [])]
+    codes = [code for code, _ in found(tmp_path, *servers, profile(caller, *rules))]
+    assert ("served-twice" in codes) == denied
+
+
+def test_a_fleet_of_pairs_is_asked_in_time_that_its_names_take(tmp_path: Path) -> None:
+    """All possible subjects are asked about a few names only; a note says so."""
+    pairs = [
+        profile(f"/r{number}/{name}", rule("ros_service", "ros_execute", f"/r{number}/go"))
+        for number in range(MOST_QUESTIONS + 2)
+        for name in "ab"
+    ]
+    codes = [code for code, _ in found(tmp_path, *pairs)]
+    assert codes.count("served-twice") == MOST_QUESTIONS + 2
+    some = profile("/client*", rule("ros_service", "ros_call", "/elsewhere"))
+    codes = [code for code, _ in found(tmp_path, *pairs, some)]
+    assert (codes.count("served-twice"), codes.count("lint-unknown")) == (MOST_QUESTIONS, 1)
 
 
 def test_a_server_alone_is_no_mistake_nor_are_servers_of_a_pattern(tmp_path: Path) -> None:
