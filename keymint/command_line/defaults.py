@@ -72,7 +72,7 @@ def load_defaults(
     found: list[Default] = []
     problems: list[Diagnostic] = []
     verbs = group.list_commands(click.Context(group))
-    # What is said for a verb, by a longer name, is stronger than what is said for all.
+    # A variable for one verb has a longer name, and is stronger than one for all verbs.
     for name, value in sorted(variables, key=lambda each: -len(each[0])):
         *words, key = name.lower().split("_")[1:]
         # As for click, an empty variable is none.

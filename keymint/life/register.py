@@ -82,7 +82,7 @@ class SignedRights:
     @classmethod
     def of(cls, name: str, generation: int, subject: str, not_after: datetime, content: bytes) -> SignedRights:
         """Return the entry of a document for the register; the arguments are as the attributes."""
-        # A larger window than the content takes memory that the system hands out anew, at ten times the cost.
+        # A window larger than the content takes memory that the system provides again each time: ten times the cost.
         bits = max(9, min(len(content).bit_length(), zlib.MAX_WBITS))
         packed = zlib.compressobj(1, zlib.DEFLATED, bits, bits + zlib.DEF_MEM_LEVEL - zlib.MAX_WBITS)
         return cls(name, generation, subject, not_after, packed.compress(content) + packed.flush())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is said of files that are not well-formed XML, each with a remedy."""
+"""Messages about files that are not well-formed XML, each with a remedy."""
 
 from __future__ import annotations
 

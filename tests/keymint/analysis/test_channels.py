@@ -42,7 +42,7 @@ def test_a_source_that_is_a_target(tmp_path: Path) -> None:
     )
     channels = ChannelSearch(policy, ())
     assert len(channels.path(["/a", "/c"], ["/a"]) or ()) == 2
-    # /a reaches /b first, and comes back to itself; the path from /d is longer, and one all the same.
+    # /a reaches /b first, and comes back to itself; the path from /d is longer, but it is a path.
     assert [step.writer for step in channels.path(["/a", "/d"], ["/a"]) or ()] == ["/d", "/c", "/b"]
     assert channels.path(["/a"], ["/a"]) is None
     assert channels.path(["/a", "/b"], ["/d"]) is None

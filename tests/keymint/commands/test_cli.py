@@ -186,7 +186,7 @@ def test_python_dash_m(tmp_path: Path) -> None:
 @pytest.mark.parametrize("more", ["", "-v", "--json"])
 @pytest.mark.parametrize("stream", ["2>/dev/null", "2>&1 >/dev/null", "2>&1"])
 def test_a_reader_that_stops_early_stops_nothing(policy: Path, stream: str, more: str) -> None:
-    """What was asked for is done, nothing is said, and the exit code is that of the run, as a script reads it."""
+    """The run does what was asked for, prints nothing, and has its own exit code, as a script reads it."""
     keymint = f"{sys.executable} -m keymint"
     script = (
         f"set -o pipefail; {keymint} provision {policy} -w ws {more} {stream} | true; echo $?; "

@@ -29,7 +29,7 @@ Change = Callable[[Path], object]
 
 @dataclass(frozen=True)
 class Mistake:
-    """A mistake and what is said of it.
+    """A mistake and its message.
 
     Attributes:
         number: its number in the table.
@@ -340,7 +340,7 @@ def test_a_mistake_is_told(keymint, at: Path, mistake: Mistake) -> None:
     "mistake", [each for each in MISTAKES if each.where.startswith("robot.xml:")], ids=lambda each: each.what
 )
 def test_one_cause_is_one_message(keymint, at: Path, mistake: Mistake) -> None:
-    """What is wrong at a place in the policy is said once; a note may tell a consequence."""
+    """One message reports what is wrong at a place in the policy; a note may report a consequence."""
     mistake.change(at)
     told = keymint(*mistake.command.split()).err.splitlines()
     here = [line for line in told if line.startswith(f"{mistake.where}: ")]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``keymint set``: a setting changes in place, and what is to be signed again is said."""
+"""``keymint set``: a setting changes in place, and the output lists what is to be signed again."""
 
 from __future__ import annotations
 
