@@ -137,12 +137,12 @@ def main(arguments: list[str] | None = None) -> int:
             try:
                 recalled = _recalled(given)
                 code = _carried_out(given) if recalled is None else recalled
-                if code and "--json" not in given and next(filter(VERBS.__contains__, given), "") == "env":
-                    out.write("false\n")  # a shell that evaluates the output must not go on without the variables
                 out.flush()
             except StoppedError as stop:
                 code = report_signal(given, stop.number)
-                out.flush()
+            if code and "--json" not in given and next(filter(VERBS.__contains__, given), "") == "env":
+                out.write("false\n")  # a shell that evaluates the output must not go on without the variables
+            out.flush()
         except OutputError as error:
             out.give_up()
             err.write(f"keymint: error: standard output: {error} [write-failed]\n")

@@ -10,6 +10,7 @@ from pathlib import Path
 import click
 import pytest
 
+from keymint import cli as command_line
 from keymint.cli import cli
 from keymint.command_line.defaults import MAX_BYTES, SETTINGS
 
@@ -25,6 +26,11 @@ def commands(group: click.Group = cli, path: tuple[str, ...] = ()) -> Mapping[tu
         elif command is not None:
             found[*path, name] = command
     return found
+
+
+def test_the_variables_that_are_looked_at_are_those_of_the_settings() -> None:
+    """They stand apart, so that a run without any of them does not load what reads them."""
+    assert {key.upper() for key in SETTINGS} == command_line._DEFAULTS
 
 
 @pytest.mark.parametrize("key", SETTINGS)

@@ -4,11 +4,14 @@
 from __future__ import annotations
 
 import shutil
+import signal
 import subprocess
 from pathlib import Path
 
 import pytest
 
+from keymint import cli
+from keymint.host.streams_and_signals import StoppedError
 from tests.conftest import snapshot
 
 
@@ -65,6 +68,17 @@ def test_an_unknown_enclave(keymint, ws: Path) -> None:
         == "ws/install/enclaves: error: there is no enclave /tolker (did you mean '/talker'?) [enclave-unknown]\n"
     )
     assert keymint("env", "/x;reboot", "-w", "ws", "--json").codes() == ["name-illegal"]
+
+
+def test_a_run_that_is_stopped_sets_nothing_either(capsys: pytest.CaptureFixture, monkeypatch) -> None:
+    def stop(_: object) -> int:
+        raise StoppedError(signal.SIGTERM)
+
+    monkeypatch.setattr(cli, "_carried_out", stop)
+    assert cli.main(["env", "/talker", "-w", "ws"]) == 128 + signal.SIGTERM
+    assert capsys.readouterr().out == "false\n"
+    assert cli.main(["check", "-w", "ws"]) == 128 + signal.SIGTERM
+    assert capsys.readouterr().out == ""
 
 
 def test_one_that_is_not_installed(keymint, ws: Path) -> None:

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from keymint_ros2_dds.lowering.lowered_rules import lower
-from keymint_ros2_dds.lowering.name_mapping import TopicAction, in_ros
+from keymint_ros2_dds.lowering.name_mapping import DDS_TOPICS, TopicAction, in_ros
 
 from comarmor.errors import Origin
 from comarmor.patterns.expression import canonical
 from comarmor.patterns.glob import Glob, parse
-from comarmor.rules import PERMISSIONS, Effect, Rule
+from comarmor.rules import KIND_OF, PERMISSIONS, Effect, Rule, of_raw_topic
 from keymint.ir import SubjectRules
 
 PUBLISH, SUBSCRIBE, RELAY = TopicAction
@@ -31,6 +31,13 @@ def lowered(rules: list[Rule], distro: str = "jazzy") -> set[tuple[TopicAction, 
 
 def rule(kind: str, permission: str, *names: str) -> Rule:
     return Rule(Effect.ALLOW, kind, (permission,), names, (), False, Origin("p.xml"))
+
+
+@pytest.mark.parametrize("permission", [each for each in DDS_TOPICS if each.startswith("ros_")])
+def test_queries_about_raw_topics_know_the_same_mapping(permission: str) -> None:
+    for topic in DDS_TOPICS[permission]:
+        raw = f"{topic.prefix}/a/b{topic.suffix}"
+        assert of_raw_topic(str(topic.action), raw) == (KIND_OF[permission], permission, "/a/b")
 
 
 @pytest.mark.parametrize(
