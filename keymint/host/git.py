@@ -111,6 +111,6 @@ def run_git(arguments: tuple[str, ...], folder: Path, environment: Mapping[str, 
             raise KeymintError(
                 f"there is no revision {revision!r}", help="'git log --oneline' lists them", code="revision"
             )
-        reason = (done.stderr.decode(errors="replace").strip().splitlines() or ["unknown reason"])[-1]
+        reason = (done.stderr.decode(errors="replace").strip().splitlines() or ["unknown reason"])[0]
         raise KeymintError(f"git failed: {reason}", help="run this in a checkout of git", code="revision")
     return done.stdout

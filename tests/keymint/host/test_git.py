@@ -61,6 +61,18 @@ def test_outside_of_a_repository(tmp_path: Path) -> None:
         pass
 
 
+def test_the_first_line_of_git_has_the_reason(tmp_path: Path) -> None:
+    """The lines after it are advice, e.g. at a mount point: which variable would make git search beyond it."""
+    program = tmp_path / "git"
+    program.write_text(
+        "#!/bin/sh\nprintf 'fatal: not a git repository\\nStopping at filesystem boundary\\n' >&2; exit 128\n"
+    )
+    program.chmod(0o755)
+    environment = {**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}"}
+    with pytest.raises(KeymintError, match="not a git repository"), at_revision("HEAD:x", tmp_path, environment):
+        pass
+
+
 def test_without_git(tmp_path: Path) -> None:
     with pytest.raises(KeymintError, match="install git"), at_revision("HEAD:x", tmp_path, {"PATH": str(tmp_path)}):
         pass
