@@ -17,7 +17,7 @@ from keymint.authority.authorities import MintedAuthority
 from keymint.authority.authority_files import FORMER, NEXT
 from keymint.errors import KeymintError
 from keymint.life.register import Register
-from keymint.life.workspace_register import issuer_of, register_change, register_of
+from keymint.life.workspace_register import installed_lists, issuer_of, outdated_register, register_change, register_of
 from keymint.pki import certificates, keys, revocation_lists
 from keymint.pki.revocation_lists import Revocation, RevocationList
 from keymint.store.changes import Action, File, FolderChange, Plan, Step
@@ -109,7 +109,7 @@ def plan_lists(
         path, issuer, present = session.workspace.revocation_list(name), issuers[name], present_lists[name]
         revoked = {each.serial: each for each in register.revoked(issuer)}
         if present is not None and session.tree.has_file(session.workspace.register):
-            _require_known(session, name, present, revoked)
+            _require_known(session, present, revoked, session.workspace.origin(path))
         if present is None and not revoked and name not in refresh and name not in paired:
             steps += _removal(session, name)  # by an earlier authority of this name, which nobody trusts any more
             continue
@@ -172,7 +172,23 @@ def _present(session: Session, name: str, minted: MintedAuthority, refresh: Coll
     return None if revocation_lists.problem(content, minted.certificate) else present
 
 
-def _require_known(session: Session, name: str, present: RevocationList, revoked: Collection[int]) -> None:
+def require_lists_known(session: Session, register: Register) -> None:
+    """Require that the register knows all revocations of the lists that installed enclaves have.
+
+    Args:
+        session: the workspace and its profile.
+        register: the register, by which a key that had a certificate before is certified again.
+
+    Raises:
+        KeymintError: it does not, so it is an old one, and the key may be one that was revoked.
+    """
+    for *_, authority in authority_files.issuers(session):
+        revoked = {each.serial for each in register.revoked(issuer_of(authority))}
+        for _, where, found in installed_lists(session, authority):
+            _require_known(session, found, revoked, where)
+
+
+def _require_known(session: Session, present: RevocationList, revoked: Collection[int], where: Origin) -> None:
     """Require that the register knows all revocations of a list: revocations are never taken back.
 
     Raises:
@@ -180,14 +196,8 @@ def _require_known(session: Session, name: str, present: RevocationList, revoked
     """
     unknown = [each for each in present.revocations if each.serial not in revoked]
     if unknown:
-        shown = session.workspace.shown(session.workspace.revocation_list(name))
-        raise KeymintError(
-            f"does not know {len(unknown)} of the revocations in {shown}, e.g. of the serial number "
-            f"{hexadecimal(unknown[0].serial)}: it is older than the list",
-            where=session.workspace.origin(session.workspace.register),
-            help="restore the latest register from a backup; or remove it, and 'keymint crl --rebuild' makes it again",
-            code="register-outdated",
-        )
+        what = f"{len(unknown)} of the revocations in {where}, e.g. of the serial number "
+        raise outdated_register(session, f"{what}{hexadecimal(unknown[0].serial)}: it is older than the list")
 
 
 def require_nothing_lost(before: bytes | None, after: bytes | None, where: Origin) -> None:

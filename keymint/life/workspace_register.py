@@ -18,6 +18,7 @@ from keymint.life.register import UNKNOWN, IssuedCertificate, Register, SignedRi
 from keymint.names import subject_of
 from keymint.pki import certificates, keys, revocation_lists, smime
 from keymint.pki.distinguished_names import to_text
+from keymint.pki.revocation_lists import RevocationList
 from keymint.store.changes import FolderChange, secret_file
 from keymint.workspace.installed_enclaves import enclave_files, enclave_names, installed_certificate, with_sources
 from keymint.workspace.package_build_types import build_types_of, revocation_files
@@ -173,7 +174,7 @@ def _restored(session: Session, *, lossy: bool) -> Register:
     register = register.with_issued(_barred(session, number, name) for number, name in enumerate(sorted(gone), 1))
     for file, name, authority in authority_files.issuers(session):
         path = session.workspace.revocation_list(file)
-        content = session.tree.read(path) or (installed_list(session, authority) if lossy else None)
+        content = session.tree.read(path) or installed_list(session, authority)
         if content is None:
             continue
         found = revocation_lists.load(content, session.workspace.origin(path))
@@ -216,14 +217,32 @@ def _barred(session: Session, number: int, name: str) -> IssuedCertificate:
 
 def installed_list(session: Session, authority: x509.Certificate) -> bytes | None:
     """Return the revocation list of an authority that enclaves have, which is the last one that they got, or None."""
-    profile, found = session.profile, dict[int, bytes]()
+    found = ((each.number, pem) for pem, _, each in installed_lists(session, authority))
+    return max(found, default=(0, None))[1]
+
+
+def installed_lists(session: Session, authority: x509.Certificate) -> Iterator[tuple[bytes, Origin, RevocationList]]:
+    """Yield the different revocation lists of an authority that enclaves have: PEM, one of its files, and the list."""
+    profile, found = session.profile, dict[bytes, str]()
     files = dict(revocation_files(session.build_types.values(), profile.distro, profile.layout, b"list"))
     for name in enclave_names(session):
         for file in files:
-            content = session.tree.try_read(f"{session.enclave_folder(name)}/{file}") or b""
-            if not revocation_lists.problem(content, authority):
-                found[revocation_lists.load(content, Origin(file)).number] = content
-    return found[max(found)] if found else None
+            path = f"{session.enclave_folder(name)}/{file}"
+            found.setdefault(session.tree.try_read(path) or b"", path)
+    for content, path in found.items():
+        if not revocation_lists.problem(content, authority):
+            where = session.workspace.origin(path)
+            yield content, where, revocation_lists.load(content, where)
+
+
+def outdated_register(session: Session, lacks: str) -> KeymintError:
+    """Return the error for a register that is older than a revocation, of which it does not know."""
+    return KeymintError(
+        f"does not know {lacks}",
+        where=session.workspace.origin(session.workspace.register),
+        help="restore the latest register from a backup; or remove it, and 'keymint crl --rebuild' makes it again",
+        code="register-outdated",
+    )
 
 
 def _found(session: Session, names: Collection[str]) -> Iterator[IssuedCertificate]:

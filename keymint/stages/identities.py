@@ -22,7 +22,7 @@ from keymint.errors import KeymintError, known_authority
 from keymint.life.package_issuance import place_of
 from keymint.life.register import SUPERSEDED, IssuedCertificate, Register
 from keymint.life.revocation_lists_in_force import enclave_lists
-from keymint.life.workspace_register import entry_of, issuer_of, register_of
+from keymint.life.workspace_register import entry_of, has_register, issuer_of, outdated_register, register_of
 from keymint.names import subject_of
 from keymint.pki import certificates, keys
 from keymint.store.changes import FolderChange, secret_file
@@ -282,7 +282,8 @@ def _require_generation(session: Session, package: Package, register: Register) 
     """Require that nothing is issued for a generation that was revoked or followed by another one.
 
     Raises:
-        KeymintError: it would be, so that old signed rights would fit the new certificate.
+        KeymintError: it would be, so that old signed rights would fit the new certificate; or the register does not
+            know of a revocation that raised the generation, so that the key may be one that was revoked.
     """
     own, lowest = package.issuance.generation, register.generation(package.name)
     if own < lowest:
@@ -293,6 +294,9 @@ def _require_generation(session: Session, package: Package, register: Register) 
             help=f"restore the file; or 'keymint revoke {package.name} --reason {reason}' writes the generation again",
             code="generation-back",
         )
+    if own > lowest and has_register(session):
+        lacks = f"the revocation that gave {package.subject} the generation {own} in {place_of(session, package.name)}"
+        raise outdated_register(session, f"{lacks}: it is older, so the key may be one that was revoked")
 
 
 def authority_of(authorities: Authorities, name: str, origin: Origin) -> MintedAuthority:

@@ -211,6 +211,9 @@ def _register(session: Session, planned: Sequence[PackagePlan]) -> tuple[FolderC
         return ()
     register = workspace_register.complete_register(session)
     workspace_register.require_free_serials(register, issued)
+    known = {each.key for each in register.certificates.values()}
+    if any(each.issued and each.key in known for each in issued):
+        revocation_lists_in_force.require_lists_known(session, register)
     signed = (each for plan in planned for each in plan.signed)
     return workspace_register.register_change(session, register.with_issued(issued).with_rights(signed))
 

@@ -600,3 +600,42 @@ def test_advice_after_a_key_was_given_up_is_followed_even_if_nothing_but_the_reg
     outcome = keymint(*advice(said.out + said.err, "renew"), cwd=provisioned)
     assert outcome.code == 0, outcome.err
     assert keymint("check", cwd=provisioned).code == 0
+
+
+class TestAnOlderRegister:
+    """It was restored from a backup made before a revocation, and the list in the public space is lost as well."""
+
+    @pytest.fixture
+    def restored(self, provisioned: Path, keymint) -> Path:
+        register = provisioned / "private/register.sqlite3"
+        old = register.read_bytes()
+        assert keymint("revoke", "talker", "--reason", "key-compromise", cwd=provisioned).code == 0
+        register.write_bytes(old)
+        (provisioned / "public/identity_ca.crl.pem").unlink()
+        return provisioned
+
+    def test_certifies_no_key_whose_generation_it_does_not_know(self, restored: Path, keymint) -> None:
+        shutil.rmtree(restored / "install")
+        before = snapshot(restored)
+        refused = keymint("install", cwd=restored)
+        assert (refused.code, "[register-outdated]" in refused.err) == (1, True), refused.err
+        assert "gave /talker the generation 1 in src/talker/issuance.xml: it is older" in refused.err
+        assert snapshot(restored) == before
+        (restored / "private/register.sqlite3").unlink()
+        assert keymint(*advice(refused.err, "crl"), cwd=restored).code == 0
+        assert keymint("install", cwd=restored).code == 0
+        assert not (restored / "install/enclaves/talker").exists()
+
+    def test_certifies_no_key_beside_a_list_that_other_enclaves_have(self, restored: Path, keymint) -> None:
+        (restored / "src/talker/issuance.xml").unlink()
+        assert keymint("build", cwd=restored).code == 0
+        refused = keymint("install", "talker", cwd=restored)
+        assert (refused.code, "revocations in install/enclaves/robot1/listener/crl.pem" in refused.err) == (1, True)
+        assert not (restored / "install/enclaves/talker").exists()
+
+    def test_is_not_made_again_without_the_list_that_enclaves_have(self, restored: Path, keymint) -> None:
+        (restored / "src/talker/issuance.xml").unlink()
+        (restored / "private/register.sqlite3").unlink()
+        assert keymint("build", cwd=restored).code == 0
+        refused = keymint("install", "talker", cwd=restored)
+        assert (refused.code, "[register-lost]" in refused.err) == (1, True), refused.err
