@@ -43,7 +43,7 @@ _MASKS = (
     (re.compile(r"\b(?=[0-9a-f]*[a-f])(?=[0-9a-f]*[0-9])[0-9a-f]{8,}\b"), "HEX"),
     (re.compile(r"\b[0-9]{12,}\b"), "NUMBER"),
     (re.compile(r"\b[0-9]+(\.[0-9]+)? (ms|s|seconds?)\b"), "TIME"),
-    (re.compile(r"\bKeymint [0-9]+\.[0-9]+\S*"), "Keymint VERSION"),
+    (re.compile(r"\b[Kk]eymint(,? version)? [0-9]+\.[0-9]+[0-9a-z.+]*"), "Keymint VERSION"),
 )
 """What differs with key, speed or version: digests and serials, long numbers, durations, the version of Keymint."""
 
@@ -261,6 +261,18 @@ def rewritten(page: Path, printed: list[tuple[Step, str]]) -> str:
     return text
 
 
+def drawings(page: Path, folder: Path) -> Iterator[tuple[Path, Path]]:
+    """Yield each picture of a page with the file of the same name that its reader drew, if there is one.
+
+    Arguments:
+        page: a Markdown page.
+        folder: where its reader began.
+    """
+    for target in re.findall(r"!\[[^\]]*\]\(([^)\s]+\.svg)\)", page.read_text()):
+        for drawn in folder.rglob(Path(target).name):
+            yield page.parent / target, drawn
+
+
 def main() -> None:
     """Follow pages that the command line names, and write into them what was printed."""
     for name in sys.argv[1:]:
@@ -269,6 +281,8 @@ def main() -> None:
             with Reader(Path(folder), STAND_INS) as reader:
                 page = Path(name)
                 page.write_text(rewritten(page, reader.follow(page)))
+                for picture, drawn in drawings(page, Path(folder)):
+                    shutil.copyfile(drawn, picture)
         finally:
             shutil.rmtree(folder)
 

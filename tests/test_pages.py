@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests import pages
-from tests.pages import CHECKOUT, STAND_INS, Reader, changed, is_shown, steps_of
+from tests.pages import CHECKOUT, STAND_INS, Reader, changed, is_shown, masked, steps_of
 
 DOCS = CHECKOUT / "docs"
 WRITTEN_TO_BE_FOLLOWED = sorted([*(DOCS / "tutorials").glob("*.md"), *(DOCS / "how-to").glob("*.md")])
@@ -31,6 +31,8 @@ def test_a_page_shows_what_its_reader_sees(page: Path, tmp_path: Path) -> None:
             f"{name_of(page)}:{step.line}: $ {step.what}\n{output}\n"
             f"if this is right: .venv/bin/python -m tests.pages {name_of(page)}"
         )
+    for picture, drawn in pages.drawings(page, tmp_path):
+        assert masked(drawn.read_text()) == masked(picture.read_text()), f"{picture.name} is not what the page draws"
     assert printed
 
 
