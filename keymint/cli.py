@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import functools
-import io
 import os
 import re
 import shutil
@@ -22,7 +21,7 @@ from typing import TYPE_CHECKING, Any, TextIO, cast
 import click
 
 from comarmor.regex import lazy_regex
-from comarmor.text import one_line, printable_lines
+from comarmor.text import one_line
 from keymint import __version__
 from keymint.command_line.verb_group import VerbGroup
 from keymint.errors import ExitCode
@@ -161,11 +160,11 @@ def _carried_out(given: Sequence[str]) -> int:
         result: Any = cli.main(list(given), prog_name="keymint", standalone_mode=False, obj=of_run)
     except click.exceptions.Exit as end:
         return end.exit_code
-    except click.ClickException as error:
-        shown = io.StringIO()
-        error.show(shown)
-        in_words = printable_lines(shown.getvalue().rstrip("\n"))
-        return _fail(given, "usage", " ".join(error.format_message().split()), ExitCode.USAGE, in_words)
+    except click.UsageError as error:
+        message = " ".join(error.format_message().split()).removesuffix(".")
+        if error.ctx and message.startswith(("Got unexpected", "Missing argument")):
+            message += f"; expected: {' '.join(error.ctx.get_usage().split()).removeprefix('Usage: ')}"
+        return _fail(given, "usage", message, ExitCode.USAGE, one_line(f"error: {message}"))
     except (KeyboardInterrupt, click.Abort):
         return report_signal(given, signal.SIGINT)
     except OutputError:

@@ -19,20 +19,20 @@ from tests.conftest import Outcome
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        (("autority",), "Error: no verb 'autority' (did you mean 'authority'?) [usage]"),
-        (("authority", "shwo"), "Error: no verb 'shwo' (did you mean 'show'?) [usage]"),
-        (("authority", "x"), "Error: no verb 'x' ('keymint authority --help' lists the verbs) [usage]"),
-        (("plan",), "Error: no verb 'plan' (did you mean 'keymint provision --dry-run'?) [usage]"),
-        (("list_enclaves",), "Error: no verb 'list_enclaves' (did you mean 'keymint status'?) [usage]"),
-        (("new-cert",), "Error: no verb 'new-cert' (did you mean 'keymint request'?) [usage]"),
-        (("Docter",), "Error: no verb 'Docter' (did you mean 'keymint check'?) [usage]"),
-        (("authority", "rotate"), "Error: no verb 'rotate' (did you mean 'keymint authority replace'?) [usage]"),
+        (("autority",), "error: no verb 'autority' (did you mean 'authority'?) [usage]"),
+        (("authority", "shwo"), "error: no verb 'shwo' (did you mean 'show'?) [usage]"),
+        (("authority", "x"), "error: no verb 'x' ('keymint authority --help' lists the verbs) [usage]"),
+        (("plan",), "error: no verb 'plan' (did you mean 'keymint provision --dry-run'?) [usage]"),
+        (("list_enclaves",), "error: no verb 'list_enclaves' (did you mean 'keymint status'?) [usage]"),
+        (("new-cert",), "error: no verb 'new-cert' (did you mean 'keymint request'?) [usage]"),
+        (("Docter",), "error: no verb 'Docter' (did you mean 'keymint check'?) [usage]"),
+        (("authority", "rotate"), "error: no verb 'rotate' (did you mean 'keymint authority replace'?) [usage]"),
     ],
 )
 def test_a_name_that_is_no_verb(keymint: Callable[..., Outcome], given: tuple[str, ...], said: str) -> None:
     outcome = keymint(*given)
     assert outcome.code == 2
-    assert outcome.err.splitlines()[-1] == said
+    assert outcome.err == f"{said}\n"
 
 
 @pytest.mark.parametrize(
@@ -53,7 +53,7 @@ def test_an_option_of_other_tools(keymint: Callable[..., Outcome], given: str, s
     assert outcome.code == 2
     (message,) = (line for line in outcome.err.splitlines() if "No such option" in line)
     assert "--no-" not in message
-    assert message.endswith(f".{said} [usage]")
+    assert message.endswith(f".{said} [usage]" if said else "' [usage]")
 
 
 @pytest.mark.parametrize("group", [cli, authority], ids=["keymint", "authority"])
@@ -84,3 +84,8 @@ def test_help_imports_no_verb(group: tuple[str, ...]) -> None:
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     imported = ["keymint.commands.life", "keymint.commands.life.authority"] if group else []
     assert done.stderr == f"{imported}\n"
+
+
+def test_wrong_arguments_are_one_line_with_what_was_expected(keymint: Callable[..., Outcome]) -> None:
+    expected = "error: Got unexpected extra argument (ws); expected: keymint provision [OPTIONS] POLICY [usage]\n"
+    assert keymint("provision", "policy.xml", "ws").err == expected
