@@ -3,9 +3,7 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator, Mapping, Sequence
-from itertools import zip_longest
+from collections.abc import Mapping
 
 from comarmor.text import first_few, one_line, quantity
 from keymint.api.graph import EdgeOutcome
@@ -15,32 +13,14 @@ from keymint.drawing.labelled_graph import LabelledGraph, LeftOut, namespace
 from keymint.drawing.layout import NodeKey
 from keymint.drawing.simplify import SimplifiedGraph
 
-_MOST_RUNS = 8
-"""Groups of robots, and parts of a group, that a caption names."""
+_MOST_GROUPS = 8
+"""Groups of robots that a caption names."""
 
 
 def alike_words(alike: Alike) -> str:
-    """Return which robots are alike: ``30 robots like /r0 (/r0 to /r2, /r4 to /r30)``."""
-    runs = list(_runs(alike.names))
-    shown = ", ".join(runs[:_MOST_RUNS]) + (f", … {alike.names[-1]}" if len(runs) > _MOST_RUNS else "")
-    return one_line(f"{len(alike.names)} {'subjects' if alike.single else 'robots'} like {alike.like} ({shown})")
-
-
-def _runs(names: Sequence[str]) -> Iterator[str]:
-    """Yield names in natural order, with those that are numbered one after the other as one."""
-    begin = 0
-    for at, name in enumerate(names):
-        if at + 1 == len(names) or not _follows(name, names[at + 1]):
-            yield name if at == begin else f"{names[begin]} to {name}"
-            begin = at + 1
-
-
-def _follows(before: str, after: str) -> bool:
-    """Tell whether two names differ only in one number, by one."""
-    pairs = [*zip_longest(*(re.split(r"([0-9]{1,18})", name) for name in (before, after)), fillvalue="")]
-    differing = [pair for pair in pairs if pair[0] != pair[1]]
-    numbers = [int(part) for part in differing[0] if part.isdecimal()] if len(differing) == 1 else []
-    return len(numbers) > 1 and numbers[0] + 1 == numbers[1]
+    """Return which robots are alike: ``30 robots like /r0 (/r0, /r1, /r2, /r3, /r4, …)``."""
+    noun = "subjects" if alike.single else "robots"
+    return one_line(f"{len(alike.names)} {noun} like {alike.like} ({first_few(alike.names)})")
 
 
 def left_out_words(left_out: Mapping[LeftOut, int]) -> str:
@@ -92,9 +72,9 @@ def subtitle(drawn: SimplifiedGraph) -> str:
         others = one_line(first_few(labelled.unnamed))
         notes.append(f"not drawn: rights of other subjects like {others} (--subject NAME draws one)")
     largest = sorted(drawn.fold.classes, key=lambda each: -len(each.names))
-    notes += (f"{alike_words(each)}, equal up to the name, are drawn as one" for each in largest[:_MOST_RUNS])
-    if len(largest) > _MOST_RUNS:
-        notes.append(f"so are {len(largest) - _MOST_RUNS} smaller groups (--json has all names)")
+    notes += (f"{alike_words(each)}, equal up to the name, are drawn as one" for each in largest[:_MOST_GROUPS])
+    if len(largest) > _MOST_GROUPS:
+        notes.append(f"so are {len(largest) - _MOST_GROUPS} smaller groups (--json has all names)")
     if drawn.marks:
         count = sum(one.common and one.outcome(transport) is EdgeOutcome.ALLOW for one in labelled.edges)
         notes.append(f"{quantity(count, 'common edge')} shown as marks")
