@@ -17,7 +17,8 @@ from lxml import etree
 from sphinx.application import Sphinx
 
 from keymint.cli import cli
-from keymint.commands.tool.explain import PARTS, explanations
+from keymint.commands.tool.explain import PARTS
+from keymint.output.explanations import explanations
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 FOLDER = CHECKOUT / "docs" / "reference" / "generated"

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from keymint.commands.tool.explain import explanations
+from keymint.output.explanations import explanations
 from tests.conftest import CHECKOUT
 
 SOURCES = sorted(path for folder in ("comarmor", "keymint", "plugins") for path in (CHECKOUT / folder).rglob("*.py"))

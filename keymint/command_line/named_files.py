@@ -94,9 +94,8 @@ def write_errors(run: Run, path: Path, kind: str, report: Report) -> Report:
     cases = [JUnitCase(run.place(each.where) or tool, each.code, (each.code, str(each)), str(each)) for each in found]
     try:
         is_sarif = kind == "sarif"
-        write_outputs(
-            run, path, sarif(tool, {}, of_diagnostics(found), run.typed) if is_sarif else junit(tool, {tool: cases})
-        )
+        written = sarif(tool, of_diagnostics(found), run.typed) if is_sarif else junit(tool, {tool: cases})
+        write_outputs(run, path, written)
     except KeymintError as error:
         return replace(report, diagnostics=(*report.diagnostics, *error.diagnostics))
     return report

@@ -20,10 +20,6 @@ from keymint.output.junit import JUnitCase
 from keymint.output.sarif import SarifResult
 from keymint.verify.mismatch import EdgeComparison, Mismatch
 
-SARIF_RULES = {
-    str(EdgeOutcome.FALSE_POSITIVE): "A transport allows what the policy does not.",
-    str(EdgeOutcome.FALSE_NEGATIVE): "A transport denies what the policy allows.",
-}
 _MOST_EXPRESSIONS = 4
 _EXAMPLES = 3
 

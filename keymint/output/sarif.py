@@ -14,6 +14,7 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.values import dataclass
 from comarmor.xml.sandboxed_paths import PACKAGE
 from keymint import __version__
+from keymint.output.explanations import explanations
 
 _SCHEMA = "https://docs.oasis-open.org/sarif/sarif/v2.1.0/errata01/os/schemas/sarif-schema-2.1.0.json"
 _LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.NOTE: "note"}
@@ -56,7 +57,6 @@ def of_diagnostics(diagnostics: Sequence[Diagnostic]) -> list[SarifResult]:
 
 def sarif(
     tool: str,
-    rules: Mapping[str, str],
     results: Sequence[SarifResult],
     typed: Callable[[str], str],
     default_level: Severity | None = None,
@@ -65,12 +65,12 @@ def sarif(
 
     Args:
         tool: name of the tool, e.g. ``keymint lint``.
-        rules: description by identifier; a rule that is missing is described by the message of its last result.
-        results: the results.
+        results: the results; a rule that nothing explains is described by the message of its last one.
         typed: returns a path as it is to be written, relative to the root of the repository if possible.
         default_level: level of every rule, written if given.
     """
-    described = {**rules, **{each.rule: rules.get(each.rule, each.message) for each in results}}
+    known = explanations()
+    described = {each.rule: known.get(each.rule, {"cause": each.message})["cause"] for each in results}
     level = {} if default_level is None else {"defaultConfiguration": {"level": _LEVELS[default_level]}}
     descriptors = [{"id": rule, "shortDescription": {"text": text}} | level for rule, text in described.items()]
     index = {rule: number for number, rule in enumerate(described)}

@@ -33,27 +33,6 @@ from keymint.analysis.subject_patterns import (
 from keymint.api import BuildType, LoadedPolicy, PolicyStructure, WrittenProfile
 from keymint.ir import Rule, SubjectRules
 
-CODES: Mapping[str, str] = {
-    "rule-shadowed": "An ALLOW rule is unreachable: DENY rules override all of it.",
-    "rule-redundant": "An ALLOW rule is redundant: other rules allow all of it.",
-    "deny-redundant": "A DENY rule is redundant: other rules deny all of it.",
-    "deny-nothing": "A DENY rule denies nothing that any rule allows.",
-    "object-never": "No legal object name matches an expression.",
-    "subject-never": "No legal subject name matches an attachment.",
-    "profile-never": "A profile never applies together with the profiles around it.",
-    "tunable-unused": "A tunable is declared but never used.",
-    "name-similar": "A name is similar to one that would fit: a likely typo.",
-    "object-any": "An ALLOW rule gives more than reading on every object.",
-    "parameter-object": "A ros_parameter rule names a parameter where a node is expected, or a misspelt node.",
-    "served-twice": "Several subjects may serve what nobody may call.",
-    "profile-name-twice": "Two profiles side by side have the same name.",
-    "profile-copied": "Two profiles side by side are attached to the same subjects.",
-    "profile-wide": "A wildcard gives rights to a subject that has a profile of its own.",
-    "root-name": "A rule of the root enclave depends on the name of the subject.",
-    "lint-unknown": "A check was not completed within its limit of steps.",
-}
-"""Diagnostic codes of ``keymint lint`` with their descriptions."""
-
 
 def lint(policy: LoadedPolicy) -> list[Diagnostic]:
     """Return the findings on a policy, sorted by place."""

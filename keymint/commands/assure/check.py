@@ -88,7 +88,7 @@ def check(
     findings += (each for each in of_policy if each not in findings)
     shown = merged_diagnostics((*findings, *unexamined))
     if sarif is not None:
-        write_outputs(run, sarif, sarif_log("keymint check", {}, of_diagnostics(shown), run.typed))
+        write_outputs(run, sarif, sarif_log("keymint check", of_diagnostics(shown), run.typed))
     number = sum(finding.severity is not Severity.NOTE for finding in shown)
     if not number:
         run.keep(session, state)

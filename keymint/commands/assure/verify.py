@@ -27,7 +27,6 @@ from keymint.drawing.simplify import DrawingOptions
 from keymint.life.workspace_register import with_enclaves
 from keymint.output.junit import junit as junit_document
 from keymint.output.mismatches import (
-    SARIF_RULES,
     comparisons_json,
     diagnostics,
     enumeration,
@@ -197,7 +196,7 @@ def _write(run: Run, verified: Sequence[Verification], sarif: Path | None, junit
     outcomes = [(outcome, each.subjects) for each in verified for outcome in each.comparisons]
     results = [outcome for outcome, _ in outcomes]
     if sarif is not None:
-        log = sarif_log("keymint verify", SARIF_RULES, sarif_results(results), run.typed, Severity.ERROR)
+        log = sarif_log("keymint verify", sarif_results(results), run.typed, Severity.ERROR)
         write_outputs(run, sarif, log)
     if junit is not None:
         write_outputs(run, junit, junit_document("keymint verify", junit_suites(outcomes)))

@@ -4,24 +4,17 @@
 from __future__ import annotations
 
 import textwrap
-import tomllib
-from collections.abc import Mapping
 from functools import partial
-from importlib import resources
 
 import click
 
 from comarmor.text import did_you_mean, quote
 from keymint.command_line.verb import Report, Run, argument, verb
 from keymint.errors import usage_error
+from keymint.output.explanations import explanations
 
 PARTS = ("cause", "effect", "remedy")
 _WRAPPER = partial(textwrap.TextWrapper, 80, subsequent_indent=" " * 10, break_on_hyphens=False)
-
-
-def explanations() -> Mapping[str, Mapping[str, str]]:
-    """Return the texts about each code: cause, effect and remedy."""
-    return tomllib.loads(resources.files(__package__).joinpath("explanations.toml").read_text(encoding="utf-8"))
 
 
 def _complete_code(_context: click.Context, _parameter: click.Parameter, incomplete: str) -> list[str]:

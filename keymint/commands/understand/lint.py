@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from comarmor.text import quantity
-from keymint.analysis.lint.lint_rules import CODES, portability, sorted_diagnostics
 from keymint.analysis.lint.lint_rules import lint as look
+from keymint.analysis.lint.lint_rules import portability, sorted_diagnostics
 from keymint.analysis.subject_patterns import pattern_examples, rules_of
 from keymint.api import BuildType
 from keymint.command_line.named_files import write_outputs
@@ -68,7 +68,7 @@ def lint(
     diagnostics += node_notes(run.plugins, chosen or policies.build_types, policies.distro, of_policy(loaded, named))
     diagnostics = sorted_diagnostics(diagnostics)
     if sarif is not None:
-        write_outputs(run, sarif, sarif_log("keymint lint", CODES, of_diagnostics(diagnostics), run.typed))
+        write_outputs(run, sarif, sarif_log("keymint lint", of_diagnostics(diagnostics), run.typed))
     like = f" and {quantity(len(others), 'pattern')} of subjects" if others else ""
     run.console.line(f"{quantity(number, 'finding')} in the rules of {quantity(len(named), 'subject')}{like}")
     result = {"subjects": named, "findings": number}

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from keymint.analysis.lint.lint_rules import CODES, lint
+from keymint.analysis.lint.lint_rules import lint
 from tests.keymint.analysis.policies import deny, loaded, profile, rule
 
 PUB = ("ros_topic", "ros_publish")
@@ -16,7 +16,7 @@ PUB = ("ros_topic", "ros_publish")
 def found(folder: Path, *profiles: str) -> list[tuple[str, int]]:
     policy = loaded(folder, *profiles)
     said = lint(policy)
-    assert all(each.code in CODES and each.help and each.where for each in said)
+    assert all(each.help and each.where for each in said)
     return [(each.code, each.where.line) for each in said if each.where]
 
 

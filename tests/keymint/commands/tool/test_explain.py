@@ -8,7 +8,8 @@ import re
 import click
 
 from keymint.cli import cli
-from keymint.commands.tool.explain import PARTS, explanations
+from keymint.commands.tool.explain import PARTS
+from keymint.output.explanations import explanations
 from tests.conftest import CHECKOUT
 from tests.keymint.commands.test_json import held
 
