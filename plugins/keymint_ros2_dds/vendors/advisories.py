@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Known vulnerabilities of access control in vendors of DDS, and the versions that are installed here.
 
-The table was made on :data:`AS_OF` from the sources that it names: tags of the vendors' repositories that contain a
-fix, notes of releases, and records of CVEs. Nothing is fetched. No CVE of Zenoh's access control was found. Those
-against SROS2 (CVE-2019-19625 and -19627, governance that leaks names) concern files that Keymint writes itself.
+The table, ``advisories.toml``, was made on its date ``as_of`` from the sources that it names: tags of the vendors'
+repositories that contain a fix, notes of releases, and records of CVEs. Nothing is fetched. No CVE of Zenoh's access
+control was found. Those against SROS2 (CVE-2019-19625 and -19627, governance that leaks names) concern files that
+Keymint writes itself.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -18,7 +20,6 @@ from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
 from keymint.errors import usage_error
 
-AS_OF = "2026-11-23"
 _PACKAGES = {
     "fastdds": r"libfastrtps|libfastdds|ros-[a-z]+-fast(?:rtps|dds)$",
     "cyclonedds": r"libddsc|ros-[a-z]+-cyclonedds$",
@@ -50,43 +51,9 @@ class Advisory:
     date: str
 
 
-ADVISORIES = (
-    Advisory(
-        "CVE-2023-24010", "fastdds", ("2.1.4", "2.6.5", "2.8.2", "2.9.2"), "2.10.0",
-        "a document counts if the permissions authority certified its signer as anybody",
-        "PKCS7_NOINTERN in the tags of eProsima/Fast-DDS; ros2/sros2#282", "2023-02-25",
-    ),
-    Advisory(
-        "CVE-2023-24011", "cyclonedds", (), "11.0.0",
-        "a document counts if the permissions authority certified its signer as anybody",
-        "PKCS7_NOINTERN in the tags of eclipse-cyclonedds/cyclonedds; ros2/sros2#282", "2023-02-25",
-    ),
-    Advisory(
-        "CVE-2023-50257", "fastdds", ("2.6.7", "2.10.3", "2.11.3", "2.12.2"), "2.13.0",
-        "who has no certificate can end the connections of secured participants",
-        "GHSA-v5r6-8mvh-cp98, and the tags with its fix", "2024-02-19",
-    ),
-    Advisory(
-        "CVE-2025-24807", "fastdds", ("2.6.10", "2.10.7", "2.14.5", "3.0.2", "3.1.2"), "3.2.0",
-        "neither the chain nor the dates of the permissions authority are checked",
-        "the tags with its fix; notes of Fast DDS 2.6.10 and 3.2.0", "2025-02-03",
-    ),
-    Advisory(
-        "CVE-2025-67108", "fastdds", ("2.6.12", "2.14.7", "3.2.5"), "",
-        "a participant stays connected when its certificate expires",
-        "CVE record; notes of Fast DDS 2.6.12, 2.14.7 and 3.2.5", "2025-12-23",
-    ),
-    Advisory(
-        "CVE-2025-67109", "cyclonedds", ("0.10.5",), "11.0.0",
-        "who sets the clock of a machine makes an expired certificate count (0.10.5 by the record alone)",
-        "CVE record; no such change is seen in the sources", "2025-12-23",
-    ),
-    Advisory(
-        "CVE-2026-45094, CVE-2026-45095, CVE-2026-45096", "fastdds", ("2.6.12", "2.14.7", "3.2.5", "3.4.3"), "3.6.2",
-        "empty texts in permissions or governance crash the process",
-        "the tags with their fix; notes of Fast DDS 2.14.7", "2026-05-11",
-    ),
-)  # fmt: skip
+_TABLE = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+AS_OF: str = _TABLE["as_of"]
+ADVISORIES = tuple(Advisory(**{**each, "fixed": tuple(each["fixed"])}) for each in _TABLE["advisory"])
 
 
 def number(version: str) -> tuple[int, ...]:
