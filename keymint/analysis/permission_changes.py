@@ -66,6 +66,7 @@ class PermissionChange:
         word: the shortest name that changes, with the partition for kind ``topic``; empty if unknown.
         where: the rule that allows it; None if unknown.
         unknown: why the answer is unknown, or empty.
+        build_type: of several build types, the only one whose documents change so; else empty.
     """
 
     gains: bool
@@ -76,6 +77,7 @@ class PermissionChange:
     word: str
     where: Origin | None
     unknown: str = ""
+    build_type: str = ""
 
     @property
     def pattern(self) -> str:

@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.text import first_few, quantity
-from keymint.analysis.permission_changes import rule_changes
+from keymint.analysis.permission_changes import PermissionChange, rule_changes
 from keymint.analysis.policy_diff import SubjectChanges
 from keymint.analysis.symbolic_search import QueryBudget
 from keymint.api import LoadedPolicy
@@ -45,7 +46,7 @@ def confirmed_plan(
         UnconfirmedError: nobody agreed.
     """
     plan, session = work.plan, work.session
-    changes = {each.subject: each for each in reversed(work.rights)}  # of several transports the first one says it
+    changes = _of_all_build_types(work.rights)
     created = plan.of_action(Action.CREATED).intersection(session.packages())
     if run.dry_run and {*enclave_names(session)}.difference(session.infrastructure(), created):
         for name in created.difference(session.infrastructure()):
@@ -71,6 +72,26 @@ def confirmed_plan(
     elif rights and (run.yes or not asked):
         run.console.line(f"{summary(rights)} (-v shows which; --dry-run does so before)")
     return plan.noting(*told, *_unread(rights))
+
+
+def _of_all_build_types(found: Iterable[SubjectChanges]) -> dict[str, SubjectChanges]:
+    """Return the changes by subject; what documents of several build types say is said once, without a build type."""
+    subjects: dict[str, SubjectChanges] = {}
+    for each in found:
+        before = subjects.setdefault(each.subject, each)
+        if before is not each:
+            changes = {_content(one): one for one in before.changes}
+            for one in each.changes:
+                same = changes.get(_content(one))
+                changes[_content(one)] = replace(same, build_type="") if same else one
+            ordered = sorted(changes.values(), key=lambda one: not one.gains)
+            subjects[each.subject] = replace(before, after=before.after and each.after, changes=tuple(ordered))
+    return subjects
+
+
+def _content(change: PermissionChange) -> PermissionChange:
+    """Return a change without its place, its example and its build type."""
+    return replace(change, where=None, word="", build_type="")
 
 
 def another_policy(

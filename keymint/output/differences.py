@@ -28,7 +28,8 @@ def as_text(differences: Sequence[SubjectChanges], place: Callable[[Origin | Non
         for change in each.changes:
             sign = "?" if change.unknown else "+" if change.gains else "-"
             where = f" ({place(change.where)})" if change.where else ""
-            yield f"  {sign} {permission_text(change, str)}{object_text(change, str)}{where}"
+            only = f" [{change.build_type} only]" if change.build_type else ""
+            yield f"  {sign} {permission_text(change, str)}{object_text(change, str)}{where}{only}"
 
 
 def summary(differences: Sequence[SubjectChanges]) -> str:
@@ -161,6 +162,7 @@ def differences_json(differences: Sequence[SubjectChanges], typed: Typed) -> lis
                     **members(change, "whole", "example"),
                     "rule": line_json(change.where, typed),
                     "unknown": change.unknown or None,
+                    "build_type": change.build_type or None,
                 }
                 for change in each.changes
             ],

@@ -47,8 +47,8 @@ def changed_rights(
         of_all: name of the build type whose documents over all packages these are; empty for those of the package.
     """
     files = enclave_files(session, package.name)[0] if package.role is api.Role.SUBJECT else {}
-    workspace, policy = session.workspace, package.grant.rules.rules
-    for name, plugin in build_types_of(session, package).items() if files else ():
+    workspace, policy, build_types = session.workspace, package.grant.rules.rules, build_types_of(session, package)
+    for name, plugin in build_types.items() if files else ():
         if plugin.prover is None or (name != of_all if of_all else plugin.SHARES):
             continue
         with suppress(KeymintError, KeyError):  # what cannot be read is not the same
@@ -70,6 +70,8 @@ def changed_rights(
                 rule = each.gains and matching_rule(policy, Effect.ALLOW, each.kind, each.permission, each.word)
                 changes.append(replace(each, where=rule.origin if rule else None) if each.gains else each)
         if changes:
+            if len(build_types) > 1:
+                changes = [replace(each, build_type=name) for each in changes]
             yield SubjectChanges(package.subject, None, True, _permits(after.rules), tuple(changes))
 
 

@@ -138,12 +138,13 @@ def test_a_dry_run_shows_rights_and_then_files(ws: Fleet) -> None:
         "changes": [
             {
                 "change": "gains", "kind": "ros_topic", "permission": "ros_publish", "pattern": "/image", "whole": True,
-                "example": "/image", "rule": {"file": "policy.xml", "line": 2}, "unknown": None,
+                "example": "/image", "rule": {"file": "policy.xml", "line": 2}, "unknown": None, "build_type": None,
             },
             {
                 "change": "loses", "kind": "ros_topic", "permission": "ros_subscribe", "pattern": "/clock",
                 "whole": True, "example": "/clock",
                 "rule": {"file": "ws/install/enclaves/talker/permissions.p7s", "line": 27}, "unknown": None,
+                "build_type": None,
             },
         ],
     }  # fmt: skip
@@ -517,6 +518,25 @@ def test_an_interrupted_run_asks_again_or_is_finished(ws: Fleet, monkeypatch: py
 
 
 # -- Zenoh, and programs -----------------------------------------------------------------------------------------------
+
+
+def test_what_one_of_two_transports_changes_alone_is_shown_and_marked(keymint: Callable, tmp_path: Path) -> None:
+    ws = Fleet(keymint, tmp_path, ["dds", "zenoh"])
+    ws.start(TALKERS)
+    ws.write({"/talker": ["publish /image", "subscribe /clock"], "/listener": ["subscribe /image"]})
+    (ws.root / "install/enclaves/talker/permissions.p7s").write_text("garbage")
+    lines = ws.provision("--dry-run").out.splitlines()
+    listener, talker = lines[1:3], lines[4:7]
+    assert listener == [
+        "  + ros_subscribe /image (policy.xml:3)",
+        "  - ros_subscribe /chatter (ws/install/enclaves/listener/permissions.p7s:22)",
+    ]
+    assert talker[0].startswith("  ? ws/install/enclaves/talker/permissions.p7s:1: is malformed")
+    assert [each.split("[")[1] for each in talker] == ["keymint_ros2_dds only]", *["keymint_ros2_zenoh only]"] * 2]
+    assert talker[1:] == [
+        "  + ros_publish /image (policy.xml:2) [keymint_ros2_zenoh only]",
+        "  - ros_publish /chatter (ws/install/zenoh/router.json5) [keymint_ros2_zenoh only]",
+    ]
 
 
 @pytest.mark.parametrize("transports", [["zenoh"], ["dds", "zenoh"]], ids="+".join)

@@ -56,6 +56,7 @@ def test_json(keymint, option: list[str]) -> None:
             "example": "/xa",
             "rule": {"file": "new.xml", "line": 2},
             "unknown": None,
+            "build_type": None,
         }
     ]
 
