@@ -159,19 +159,18 @@ class Reader:
         self._shell.kill()
         self._shell.communicate()
 
-    def follow(self, page: Path) -> list[tuple[Step, str]]:
-        """Do what a page says.
+    def follow(self, page: Path) -> Iterator[tuple[Step, str]]:
+        """Do what a page says, one step after the other.
 
         Arguments:
             page: a Markdown page.
 
-        Returns:
+        Yields:
             Each command that was run, with what it printed.
 
         Raises:
             AssertionError: a command fails and the page does not show that it does; a change does not fit.
         """
-        printed: list[tuple[Step, str]] = []
         steps = steps_of(page.read_text())
         for step, following in zip(steps, [*steps[1:], None], strict=True):
             if step.kind == "run" and not step.not_run:
@@ -179,17 +178,16 @@ class Reader:
                 told = following is not None and following.what == "echo $?"
                 refused = re.search(r"^(error: |.*: error: )", step.content, re.MULTILINE)
                 assert self._code == 0 or told or refused, f"{page}:{step.line}: exit code {self._code}\n{output}"
-                printed.append((step, output))
+                yield step, output
             else:
                 self._do(step, page)
-        return printed
 
     def _do(self, step: Step, page: Path) -> None:
         """Do what is no command that runs here."""
         file = self._folder / step.what
         match step.kind:
             case "starts":
-                self.follow((page.parent / step.what).resolve())
+                list(self.follow((page.parent / step.what).resolve()))
             case "clock":
                 self._clock(datetime.fromisoformat(step.what))
             case "save":
@@ -276,14 +274,15 @@ def drawings(page: Path, folder: Path) -> Iterator[tuple[Path, Path]]:
 def main() -> None:
     """Follow pages that the command line names, and write into them what was printed."""
     for name in sys.argv[1:]:
-        folder = tempfile.mkdtemp(prefix="pages-")
+        folder, page = tempfile.mkdtemp(prefix="pages-"), Path(name)
+        printed: list[tuple[Step, str]] = []
         try:
             with Reader(Path(folder), STAND_INS) as reader:
-                page = Path(name)
-                page.write_text(rewritten(page, reader.follow(page)))
-                for picture, drawn in drawings(page, Path(folder)):
-                    shutil.copyfile(drawn, picture)
+                printed.extend(reader.follow(page))
         finally:
+            page.write_text(rewritten(page, printed))
+            for picture, drawn in drawings(page, Path(folder)):
+                shutil.copyfile(drawn, picture)
             shutil.rmtree(folder)
 
 

@@ -25,7 +25,7 @@ def name_of(page: Path) -> str:
 @pytest.mark.parametrize("page", FOLLOWED, ids=name_of)
 def test_a_page_shows_what_its_reader_sees(page: Path, tmp_path: Path) -> None:
     with Reader(tmp_path, STAND_INS) as reader:
-        printed = reader.follow(page)
+        printed = list(reader.follow(page))
     for step, output in printed:
         assert is_shown(output, step.content), (
             f"{name_of(page)}:{step.line}: $ {step.what}\n{output}\n"
@@ -54,7 +54,7 @@ def test_files_are_saved_changed_and_appended_to_at_their_place(tmp_path: Path) 
         "```console\n$ cat a.txt && echo \\\n>   $PWD\n```\n"
     )
     with Reader(tmp_path) as reader:
-        printed = reader.follow(page)
+        printed = list(reader.follow(page))
     assert [output for _, output in printed] == ["first\nsecond\n", "", "first\n2\nthird\n~/one\n"]
     assert pages.rewritten(page, printed).endswith(">   $PWD\nfirst\n2\nthird\n~/one\n```\n")
 
@@ -76,7 +76,7 @@ def test_a_command_that_fails_must_be_shown_to_fail(tmp_path: Path) -> None:
         assert [output for _, output in reader.follow(page)][:2] == ["", "1\n"]
     page.write_text("```console\n$ false\n```\n")
     with Reader(tmp_path) as reader, pytest.raises(AssertionError, match=r"page\.md:2: exit code 1"):
-        reader.follow(page)
+        list(reader.follow(page))
 
 
 def test_what_needs_ros_is_not_run_but_may_have_a_stand_in(tmp_path: Path) -> None:
