@@ -50,8 +50,12 @@ class Names:
 
     Attributes:
         given: names, and patterns as policies have them.
-        listed: a file with more of them; ``-`` is standard input.
-        state: only packages in this state, of those that are named, else of all.
+        listed: a file with more of them.
+        state: of those that are named, else of all.
+
+    Options:
+        listed: Also what this file names: a name or pattern a line; '#' begins a comment ['-': standard input].
+        state: Only packages that are due for renewal, stale (sources or policy changed), or revoked.
     """
 
     given: tuple[str, ...]

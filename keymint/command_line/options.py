@@ -37,38 +37,34 @@ def names_group(word: str = "NAME", *, required: bool = False, state: bool = Tru
         if required and not names:
             raise click.UsageError(f"Missing argument '{word}...': a name, a pattern such as '/r0/*', or --from FILE.")
 
-    listed = "Also what this file names: a name or pattern a line; '#' begins a comment ['-': standard input]."
-    states = "Only packages that are due for renewal, stale (sources or policy changed), or revoked."
     return option_group(
         Names,
         check,
         given=argument(nargs=-1, metavar=f"{word}..." if required else f"[{word}]..."),
-        listed=path_option(listed, "--from", kind=FILE),
-        **({"state": option(type=click.Choice(("due", "stale", "revoked")), help=states)} if state else {}),
+        listed=path_option("--from", kind=FILE),
+        **({"state": option(type=click.Choice(("due", "stale", "revoked")))} if state else {}),
     )
 
 
-force_option = flag("Replace an existing file with different content.", "-f")
+force_option = flag("-f", help="Replace an existing file with different content.")
 
 
 # -- policies outside of a workspace ---------------------------------------------------------------------------------
 
 DEFAULT_DISTRO = "jazzy"
 distro_option = option(metavar="NAME", help=f"ROS 2 distribution [$ROS_DISTRO, else {DEFAULT_DISTRO}].")
-library_option = plugin(
-    "keymint.profile_types", "Plugin that ships the policy library.", default=DEFAULT_PROFILE_TYPE, show_default=True
-)
+library_option = plugin("keymint.profile_types", default=DEFAULT_PROFILE_TYPE, show_default=True)
 
 
 @dataclass(frozen=True, slots=True)
 class PolicyOptions:
-    """How to read a policy that lies outside of a workspace.
+    """How to read a policy that lies outside of a workspace; the distribution may be None.
 
-    Attributes:
-        distro: ROS 2 distribution, or None.
-        profile_type: plugin that ships the policy library.
-        policy_type: plugin that reads the policy.
-        trust_links: follow symbolic links out of the folders of ROS packages.
+    Options:
+        profile_type: Plugin that ships the policy library.
+        policy_type: Plugin that reads the policy.
+        trust_links: Follow symbolic links out of the folders of ROS packages, as 'colcon build --symlink-install'
+            makes.
     """
 
     distro: str | None
@@ -84,12 +80,8 @@ policy_options = option_group(
         help=f"ROS 2 distribution of the policy library [the workspace's, else $ROS_DISTRO, else {DEFAULT_DISTRO}].",
     ),
     profile_type=library_option,
-    policy_type=plugin(
-        "keymint.policy_types", "Plugin that reads the policy.", default="keymint_ros2_comarmor", show_default=True
-    ),
-    trust_links=flag(
-        "Follow symbolic links out of the folders of ROS packages, as 'colcon build --symlink-install' makes."
-    ),
+    policy_type=plugin("keymint.policy_types", default="keymint_ros2_comarmor", show_default=True),
+    trust_links=flag(),
 )
 
 
@@ -173,21 +165,17 @@ valid_for_option = option(
 
 @dataclass(frozen=True, slots=True)
 class DocumentOptions:
-    """What shapes the documents of a build; see :class:`keymint.api.BuildOptions`."""
+    """What shapes the documents of a build; see :class:`keymint.api.BuildOptions`.
 
-    allow_vendor_specific: bool = flag(
-        "Report rules that vendors of a transport decide differently as warnings, not as errors."
-    )
-    optimise: bool = option(
-        "--optimise/--no-optimise",
-        default=True,
-        show_default=True,
-        hidden=True,
-        help="Rewrite permissions into fewer rules and expressions, proven equivalent.",
-    )
-    hints: Path | None = path_option(
-        "Put frequent requests first: a CSV of subject,permission,object,count, or a graph.", hidden=True
-    )
+    Options:
+        allow_vendor_specific: Report rules that vendors of a transport decide differently as warnings, not as errors.
+        optimise: Rewrite permissions into fewer rules and expressions, proven equivalent.
+        hints: Put frequent requests first: a CSV of subject,permission,object,count, or a graph.
+    """
+
+    allow_vendor_specific: bool = flag()
+    optimise: bool = option("--optimise/--no-optimise", default=True, show_default=True, hidden=True)
+    hints: Path | None = path_option(hidden=True)
 
 
 document_options = option_group(DocumentOptions)
@@ -209,9 +197,9 @@ prove_option = option(
     help="Install only if each document is proven to permit exactly what the policy allows.",
 )
 standard_only_option = flag(
-    "Prove documents by the transport's standard only; for builds with --allow-vendor-specific."
+    help="Prove documents by the transport's standard only; for builds with --allow-vendor-specific."
 )
-strict_option = flag("Accept no exceptions: what a claim leaves out counts as not proven.")
+strict_option = flag(help="Accept no exceptions: what a claim leaves out counts as not proven.")
 
 
 def _prove_if_strict(request: InstallRequest) -> None:
@@ -225,7 +213,7 @@ def install_request(**more: Any) -> Any:
         InstallRequest,
         _prove_if_strict,
         **more,
-        prune=flag("Remove installed enclaves that have no source package."),
+        prune=flag(help="Remove installed enclaves that have no source package."),
         new_authority=option(
             multiple=True,
             metavar="NAME",
@@ -235,7 +223,8 @@ def install_request(**more: Any) -> Any:
         prove=prove_option,
         strict=strict_option,
         revoke_superseded=flag(
-            "Where new signed rights allow less than those they replace, revoke the certificate and issue a new one."
+            help="Where new signed rights allow less than those they replace, revoke the certificate and issue "
+            "a new one."
         ),
     )
 
@@ -245,7 +234,7 @@ def install_request(**more: Any) -> Any:
 
 authority_argument = argument(metavar="NAME")
 flag_day_option = flag(
-    "Accept that all subjects restart together, where the old and the new certificate do not work side by side."
+    help="Accept that all subjects restart together, where the old and the new certificate do not work side by side."
 )
 
 
@@ -278,8 +267,8 @@ vendors_of_option = option(
 )
 implementation_option = plugin(
     "keymint.transports",
-    "Ask this implementation of a transport; may be repeated [all usable ones; 'keymint transports' lists them].",
     "-i",
     "--implementation",
     multiple=True,
+    help="Ask this implementation of a transport; may be repeated [all usable ones; 'keymint transports' lists them].",
 )

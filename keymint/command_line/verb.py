@@ -2,7 +2,8 @@
 """What a verb consists of: it makes click commands of functions from a run and options to a report.
 
 Each argument of such a function says by its default what the command line has for it: ``output: Path | None =
-option("-o", type=FILE)`` is an option ``-o/--output`` with its value, named once.
+option("-o", type=FILE)`` is an option ``-o/--output`` with its value, named once. What the help page says about it
+stands in the part ``Options:`` of the function's docstring; the other parts are the begin of the help page.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 
 from comarmor.errors import Diagnostic
+from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint import SPACES
 from keymint.api import GraphSource
@@ -47,6 +49,8 @@ PATH = click.Path(path_type=Path)
 FILE = click.Path(path_type=Path, dir_okay=False)
 _CHOSEN_BY_USERS = {"keymint.build_types", "keymint.transports"}
 """The groups of plugins of which most users choose one."""
+_ENTRY = lazy_regex(r"(?m)^ {4}(\w+): ")
+"""The begin of a text about an option in a docstring."""
 _MARKER = f"profile/{PROFILE_MARKER}"
 
 
@@ -98,6 +102,7 @@ def verb(
             context.exit(int(report.exit_code))
 
         functools.update_wrapper(command, function)
+        command.__doc__ = option_texts(function)[0]
         made = click.command(own_name, cls=VerbCommand)(click.pass_context(command))
         made.params += [*parameters, *shared, *(before for _, before in renamed)]
         has_hidden = any(isinstance(each, click.Option) and each.hidden for each in made.params)
@@ -260,23 +265,23 @@ def option(*names: str, cls: type[click.Option] = click.Option, **settings: Any)
     return functools.partial(_option, names, cls, settings)
 
 
-def flag(text: str, *names: str) -> Any:
-    """Return the default of an argument that is true if an option is given; the help page has a text about it."""
-    return option(*names, is_flag=True, help=text)
+def flag(*names: str, **settings: Any) -> Any:
+    """Return the default of an argument that is true if an option is given; see :func:`option`."""
+    return option(*names, is_flag=True, **settings)
 
 
-def path_option(text: str, *names: str, kind: click.Path = PATH, metavar: str = "FILE", **settings: Any) -> Any:
-    """Return the default of an argument that names a file or a folder; see :func:`flag` and :func:`option`."""
-    return option(*names, type=kind, metavar=metavar, help=text, **settings)
+def path_option(*names: str, kind: click.Path = PATH, metavar: str = "FILE", **settings: Any) -> Any:
+    """Return the default of an argument that names a file or a folder; see :func:`option`."""
+    return option(*names, type=kind, metavar=metavar, **settings)
 
 
-def plugin(group: str, text: str, *names: str, **settings: Any) -> Any:
+def plugin(group: str, *names: str, **settings: Any) -> Any:
     """Return the default of an argument that names a plugin of an entry-point group; see :func:`option`.
 
     Only authors of plugins choose among those of most groups: the help page shows these options if it is asked for all.
     """
     hidden = group not in _CHOSEN_BY_USERS
-    return option(*names, cls=PluginOption, group=group, help=text, hidden=hidden, **settings)
+    return option(*names, cls=PluginOption, group=group, hidden=hidden, **settings)
 
 
 def argument(**settings: Any) -> Any:
@@ -296,18 +301,29 @@ def option_group(kind: type, check: Callable[[Any], None] = lambda _: None, **op
     return OptionGroup(kind, {**declared, **options}, check)
 
 
+def option_texts(declared: Callable[..., Any]) -> tuple[str, Mapping[str, str]]:
+    """Return the docstring of a verb or data type without its part ``Options:``, and the texts in that, by argument."""
+    page, _, listed = (inspect.getdoc(declared) or "").partition("\n\nOptions:\n")
+    _, *parts = _ENTRY.split(listed)
+    return page, {name: " ".join(text.split()) for name, text in zip(parts[::2], parts[1::2], strict=True)}
+
+
 def parameters_of(function: Callable[..., Any]) -> tuple[list[click.Parameter], Mapping[str, OptionGroup]]:
     """Return what the command line has for the arguments of a verb's function, in their order, and its groups."""
     found: list[click.Parameter] = []
     groups: dict[str, OptionGroup] = {}
+    _, texts = option_texts(function)
     for each in inspect.signature(function).parameters.values():
         if isinstance(each.default, OptionGroup):
             groups[each.name] = each.default
             found += (made(name) for name, made in each.default.options.items())
+            texts = {**option_texts(each.default.kind)[1], **texts}
         elif isinstance(each.default, functools.partial):
             found.append(each.default(each.name))
     for parameter in found:
         parameter.type = _Word() if parameter.type is click.STRING else parameter.type
+        if isinstance(parameter, click.Option):
+            parameter.help = parameter.help or texts.get(str(parameter.name))
     return found, groups
 
 

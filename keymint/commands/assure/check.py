@@ -14,7 +14,7 @@ from comarmor.errors import Diagnostic, Severity
 from comarmor.text import did_you_mean, quantity
 from keymint.command_line.named_files import write_outputs
 from keymint.command_line.options import Names, names_group, period, standard_only_option, strict_option
-from keymint.command_line.verb import FILE, Report, Run, findings_if, flag, option, verb
+from keymint.command_line.verb import FILE, Report, Run, findings_if, flag, option, path_option, verb
 from keymint.errors import KeymintError, usage_error
 from keymint.examine.check import check as find
 from keymint.examine.keystore import SHOWN_NOTES, not_examined, proven_keystore
@@ -49,19 +49,14 @@ vendors_option = option(
 def check(
     run: Run,
     names: Names = names_group(),
-    within: timedelta = option(
-        type=period,
-        default="0d",
-        metavar="PERIOD",
-        help="Also report certificates and grants that expire within this time: 12h, 30d, 4w.",
-    ),
-    no_prove: bool = flag("Leave out the proof that installed documents permit what the policy says."),
-    fresh: bool = flag("Prove again what was proven before."),
+    within: timedelta = option(type=period, default="0d", metavar="PERIOD"),
+    no_prove: bool = flag(),
+    fresh: bool = flag(),
     allow_vendor_specific: bool = standard_only_option,
     strict: bool = strict_option,
-    sarif: Path | None = option(type=FILE, metavar="FILE", help="Write the findings as SARIF 2.1.0."),
+    sarif: Path | None = path_option(kind=FILE),
     vendors: str | None = vendors_option,
-    without_private: bool = flag("Exit with 0 although you may not read all of private/."),
+    without_private: bool = flag(),
 ) -> Report:
     """Compare the installed keystore with its expected state, and prove it.
 
@@ -70,6 +65,13 @@ def check(
     Notes subjects whose nodes cannot start with default options.
     docs/verification.md says in one table what each verb reads.
     Exit code 3: there are findings, or you may not read all of private/. NAME is a package [all].
+
+    Options:
+        within: Also report certificates and grants that expire within this time: 12h, 30d, 4w.
+        no_prove: Leave out the proof that installed documents permit what the policy says.
+        fresh: Prove again what was proven before.
+        sarif: Write the findings as SARIF 2.1.0.
+        without_private: Exit with 0 although you may not read all of private/.
     """
     session = run.session(auditing=True)
     chosen = names.packages(run, session)

@@ -37,18 +37,8 @@ SHOWN = 5
 def prove(
     run: Run,
     names: Names = names_group("ENCLAVE"),
-    seconds: float = option(
-        type=Number(0),
-        default=math.inf,
-        help="Also stop after this time per enclave; undecided claims are unknown [no limit].",
-    ),
-    states: int = option(
-        type=click.IntRange(1),
-        default=STATES,
-        show_default=True,
-        hidden=True,
-        help="Stop after this many states per question.",
-    ),
+    seconds: float = option(type=Number(0), default=math.inf),
+    states: int = option(type=click.IntRange(1), default=STATES, show_default=True, hidden=True),
     allow_vendor_specific: bool = standard_only_option,
     strict: bool = strict_option,
     distro: str | None = vendors_of_option,
@@ -63,6 +53,10 @@ def prove(
 
     Exit code 3: a claim is refuted or unknown, or with --strict has an exception; a certificate or grant is expired or
     not yet valid; an enclave does not trust the workspace's authorities; or an enclave has no source package.
+
+    Options:
+        seconds: Also stop after this time per enclave; undecided claims are unknown [no limit].
+        states: Stop after this many states per question.
     """
     session = run.session(auditing=True).for_vendors_of(distro)
     chosen = with_enclaves(session, names.packages(run, session), named=bool(names))

@@ -28,7 +28,7 @@ from keymint.api import LoadedPolicy
 from keymint.command_line.named_files import made_of, told_written, write_outputs
 from keymint.command_line.named_policies import Policies, workspace_library_rules
 from keymint.command_line.options import Names, PolicyOptions, period
-from keymint.command_line.verb import FILE, Report, Run, findings_if, option, verb
+from keymint.command_line.verb import FILE, Report, Run, findings_if, option, path_option, verb
 from keymint.commands.assure.check import advisories, check, vendors_option
 from keymint.commands.assure.prove import prove
 from keymint.commands.assure.status import status
@@ -56,26 +56,12 @@ _T = TypeVar("_T")
 @verb(dry_run=True, processes=True)
 def report(
     run: Run,
-    output: Path = option(
-        "-o", type=FILE, required=True, metavar="FILE", help="Write to this file; its suffix is .html or .json."
-    ),
-    since: str | None = option(
-        metavar="REV",
-        help="List rights gained and lost since a Git revision of the workspace, or of a policy (REV:PATH), or since a "
-        "time: 12h, 7d, 4w.",
-    ),
-    safety: tuple[str, ...] = option(
-        multiple=True,
-        metavar="PATTERN",
-        help="Critical objects, e.g. '/*/cmd_vel': rights on them come first. May be repeated.",
-    ),
-    soon: timedelta = option(
-        type=period, default="31d", metavar="PERIOD", show_default=True, help="Mark what ends within this time."
-    ),
+    output: Path = path_option("-o", kind=FILE, required=True),
+    since: str | None = option(metavar="REV"),
+    safety: tuple[str, ...] = option(multiple=True, metavar="PATTERN"),
+    soon: timedelta = option(type=period, default="31d", metavar="PERIOD", show_default=True),
     vendors: str | None = vendors_option,
-    sign: str | None = option(
-        metavar="AUTHORITY", help="Also write FILE.p7s: a signature by this authority, which no robot may obey."
-    ),
+    sign: str | None = option(metavar="AUTHORITY"),
 ) -> Report:
     """Write evidence for an audit: rights by risk, who reaches what, certificates, changes, proofs, findings, runs.
 
@@ -88,6 +74,14 @@ def report(
     \b
     keymint report -o audit.html --safety '/*/cmd_vel' --since 7d
     keymint report -o audit.json --sign audit_ca
+
+    Options:
+        output: Write to this file; its suffix is .html or .json.
+        since: List rights gained and lost since a Git revision of the workspace, or of a policy (REV:PATH), or since a
+            time: 12h, 7d, 4w.
+        safety: Critical objects, e.g. '/*/cmd_vel': rights on them come first. May be repeated.
+        soon: Mark what ends within this time.
+        sign: Also write FILE.p7s: a signature by this authority, which no robot may obey.
     """
     if output.suffix not in (".html", ".json"):
         raise usage_error(f"{output} is neither .html nor .json", "name a file like audit.html or audit.json")

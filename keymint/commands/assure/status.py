@@ -38,21 +38,19 @@ _DEFAULTS = {"OPTION": "option", "VERB": "verb", "DEFAULT": "value", "FROM": "so
 @verb()
 def status(
     run: Run,
-    kind: str = option(
-        "--format",
-        type=click.Choice(("table", "openmetrics")),
-        default="table",
-        show_default=True,
-        help="openmetrics: dates in seconds since 1970, for a monitor such as Prometheus.",
-    ),
+    kind: str = option("--format", type=click.Choice(("table", "openmetrics")), default="table", show_default=True),
     strict: bool = strict_option,
-    log: bool = flag("Show what each run that wrote here did: when, who, which version; the latest last."),
+    log: bool = flag(),
     names: Names = names_group(),
 ) -> Report:
     """Show a table of all packages: the stage, whether it is stale, when it expires, and when to renew it.
 
     RENEW AFTER is from when on 'keymint renew' takes it up; 'with CA' means that it ends with this authority, which
     must be renewed before. NAME is a package [all].
+
+    Options:
+        kind: openmetrics: dates in seconds since 1970, for a monitor such as Prometheus.
+        log: Show what each run that wrote here did: when, who, which version; the latest last.
     """
     if log:
         return _log(run)

@@ -57,33 +57,15 @@ _UNSAFE = lazy_regex(r"[^A-Za-z0-9._-]+")
 def verify(
     run: Run,
     names: Names = names_group(),
-    graph: Path | None = path_option(
-        "Ask for every subject, permission and object of this graph (docs/graph.md) [the objects of the policy, "
-        "and names that probe its patterns].",
-        "-g",
-    ),
+    graph: Path | None = path_option("-g"),
     chosen: tuple[str, ...] = implementation_option,
     distro: str | None = vendors_of_option,
-    tier: str = option(
-        type=click.Choice([str(tier) for tier in Tier]),
-        default=str(Tier.DECISION),
-        show_default=True,
-        help="What to test: access-control code, endpoint creation, or data exchange.",
-    ),
-    ros: bool = flag(
-        "Ask the ROS 2 that is sourced: a stand-in node for each enclave tries each right and each near miss, in a "
-        "network of its own that has nothing but loopback."
-    ),
-    limit: int = option(
-        type=click.IntRange(0), default=1000, show_default=True, help="Mismatches to list per implementation."
-    ),
-    sarif: Path | None = option(type=FILE, metavar="FILE", help="Write the mismatches as SARIF 2.1.0."),
-    junit: Path | None = option(type=FILE, metavar="FILE", help="Write the results as JUnit XML."),
-    report: Path | None = option(
-        type=click.Path(path_type=Path, file_okay=False),
-        metavar="DIR",
-        help="Write an offline web page, and pictures of the labelled graph.",
-    ),
+    tier: str = option(type=click.Choice([str(tier) for tier in Tier]), default=str(Tier.DECISION), show_default=True),
+    ros: bool = flag(),
+    limit: int = option(type=click.IntRange(0), default=1000, show_default=True),
+    sarif: Path | None = path_option(kind=FILE),
+    junit: Path | None = path_option(kind=FILE),
+    report: Path | None = option(type=click.Path(path_type=Path, file_okay=False), metavar="DIR"),
 ) -> Report:
     """Compare the decisions of transports on installed enclaves with the policy, edge by edge.
 
@@ -95,6 +77,17 @@ def verify(
     docs/verification.md says in one table what each verb reads.
 
     Exit code 3: there are mismatches, or an enclave does not trust the workspace's authorities.
+
+    Options:
+        graph: Ask for every subject, permission and object of this graph (docs/graph.md) [the objects of the policy,
+            and names that probe its patterns].
+        tier: What to test: access-control code, endpoint creation, or data exchange.
+        ros: Ask the ROS 2 that is sourced: a stand-in node for each enclave tries each right and each near miss, in a
+            network of its own that has nothing but loopback.
+        limit: Mismatches to list per implementation.
+        sarif: Write the mismatches as SARIF 2.1.0.
+        junit: Write the results as JUnit XML.
+        report: Write an offline web page, and pictures of the labelled graph.
     """
     session = run.session().for_vendors_of(distro)
     if ros:

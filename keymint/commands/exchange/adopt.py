@@ -14,16 +14,10 @@ from comarmor.text import quantity
 from keymint.adoption.adopted_workspace import Adoption, plan_adoption
 from keymint.adoption.keystore_files import found_in
 from keymint.adoption.keystore_policy import AdoptedPolicy, Compared, Learning, document_comparisons, learned_from
-from keymint.api import (
-    Bootstrap,
-    FoundEnclave,
-    FoundKeystore,
-    ImportRequest,
-    KeystoreFiles,
-)
+from keymint.api import Bootstrap, FoundEnclave, FoundKeystore, ImportRequest, KeystoreFiles
 from keymint.command_line.named_policies import Policies
-from keymint.command_line.options import DEFAULT_DISTRO, DEFAULT_PROFILE_TYPE, PolicyOptions, distro_option
-from keymint.command_line.verb import PATH, Report, Run, argument, findings_exit, flag, option, plugin, verb
+from keymint.command_line.options import DEFAULT_DISTRO, PolicyOptions, distro_option, library_option
+from keymint.command_line.verb import PATH, Report, Run, argument, findings_exit, flag, option, verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.examine.adopted_documents import policy_finding, unclear_rights
 from keymint.examine.nodes import NODE_NOTES, node_notes, of_documents
@@ -47,18 +41,11 @@ def adopt(
     run: Run,
     keystore: Path = argument(type=PATH),
     policy: Path | None = argument(type=PATH, required=False),
-    applied: bool = flag("Write the workspace; without it nothing is written.", "--apply"),
-    as_written: bool = flag("Take POLICY as it reads where the other tool enforces something else."),
-    implicit: bool = option(
-        "--implicit/--no-implicit",
-        default=True,
-        show_default=True,
-        help="POLICY of another tool has the rules that this tool adds by itself.",
-    ),
+    applied: bool = flag("--apply"),
+    as_written: bool = flag(),
+    implicit: bool = option("--implicit/--no-implicit", default=True, show_default=True),
     distro: str | None = distro_option,
-    profile_type: str = plugin(
-        "keymint.profile_types", "Plugin that makes the profile.", default=DEFAULT_PROFILE_TYPE, show_default=True
-    ),
+    profile_type: str = library_option,
 ) -> Report:
     """Examine KEYSTORE, which another tool made, and take it over: 'ros2 security', openssl, or a vendor's guide.
 
@@ -72,6 +59,12 @@ def adopt(
 
     With --apply, the workspace has the same authorities, keys, certificates and signed documents. The next build and
     install change nothing that robots have; if they would, nothing is written. Exit code 3: there are findings.
+
+    Options:
+        applied: Write the workspace; without it nothing is written.
+        as_written: Take POLICY as it reads where the other tool enforces something else.
+        implicit: POLICY of another tool has the rules that this tool adds by itself.
+        profile_type: Plugin that makes the profile.
     """
     workspace, folder = run.workspace_at(None), run.setting.cwd / keystore
     build_type_name, reader, files, found = found_in(run.plugins, folder, str(keystore), run.setting.now)

@@ -32,33 +32,16 @@ _EXIT_CODES = {signal.SIGINT: ExitCode.INTERRUPTED, signal.SIGTERM: ExitCode.TER
 @verb(workspace=False, dry_run=True)
 def discover(
     run: Run,
-    domain: int | None = option(type=click.IntRange(0, 232), metavar="N", help="Domain id [$ROS_DOMAIN_ID, else 0]."),
+    domain: int | None = option(type=click.IntRange(0, 232), metavar="N"),
     seconds: float = option(
-        type=Number(min=0, min_open=True, max=86_400),
-        default=10.0,
-        show_default=True,
-        metavar="S",
-        help="How long to observe. Endpoints that disappear meanwhile count too.",
+        type=Number(min=0, min_open=True, max=86_400), default=10.0, show_default=True, metavar="S"
     ),
-    captures: tuple[Path, ...] = path_option(
-        "Read a Keymint graph, or a capture that the source knows, instead (docs/graph.md). May be repeated.",
-        "--from",
-        multiple=True,
-    ),
-    append: Path | None = path_option(
-        "Add to this graph, which is created if missing. Without -o the result is written there.", metavar="GRAPH"
-    ),
-    output: Path | None = path_option("Write the graph to this file [standard output].", "-o"),
-    no_fold: bool = flag("Keep the services and topics of actions and parameters separate."),
-    subjects: tuple[str, ...] = option(
-        "--subject",
-        multiple=True,
-        metavar="ID=NAME",
-        help="Name the subject whose identifier begins with ID; -v shows identifiers. May be repeated.",
-    ),
-    source_name: str | None = plugin(
-        "keymint.graph_sources", "Plugin that observes and reads graphs [the only one that is installed].", "--source"
-    ),
+    captures: tuple[Path, ...] = path_option("--from", multiple=True),
+    append: Path | None = path_option(metavar="GRAPH"),
+    output: Path | None = path_option("-o"),
+    no_fold: bool = flag(),
+    subjects: tuple[str, ...] = option("--subject", multiple=True, metavar="ID=NAME"),
+    source_name: str | None = plugin("keymint.graph_sources", "--source"),
 ) -> Report:
     """Record the graph of a running system: the topics, services, actions and parameters that each subject uses.
 
@@ -69,6 +52,16 @@ def discover(
     keymint discover --seconds 30 -o graph.json      while the application runs, without security
     keymint learn graph.json -o policy.xml
     keymint provision policy.xml -w ws
+
+    Options:
+        domain: Domain id [$ROS_DOMAIN_ID, else 0].
+        seconds: How long to observe. Endpoints that disappear meanwhile count too.
+        captures: Read a Keymint graph, or a capture that the source knows, instead (docs/graph.md). May be repeated.
+        append: Add to this graph, which is created if missing. Without -o the result is written there.
+        output: Write the graph to this file [standard output].
+        no_fold: Keep the services and topics of actions and parameters separate.
+        subjects: Name the subject whose identifier begins with ID; -v shows identifiers. May be repeated.
+        source_name: Plugin that observes and reads graphs [the only one that is installed].
     """
     source = graph_source(run.plugins, source_name, "--source")
     names = _names(subjects)

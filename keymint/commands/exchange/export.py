@@ -26,12 +26,10 @@ _FORMATS = "keymint.policy_formats"
 def export(
     run: Run,
     policy: Path | None = argument(required=False, type=PATH),
-    form: str = option("--format", metavar="NAME", required=True, help="The format: of a policy type, or xacml."),
-    output: Path | None = path_option("Write the policy to this file [standard output].", "-o", kind=FILE),
-    listed: Path | None = path_option(
-        "Further subjects, one a line, for profiles with wildcards.", "--subjects", kind=FILE
-    ),
-    lossy: bool = flag("Leave out ALLOW rules that the format cannot express; each is listed."),
+    form: str = option("--format", metavar="NAME", required=True),
+    output: Path | None = path_option("-o", kind=FILE),
+    listed: Path | None = path_option("--subjects", kind=FILE),
+    lossy: bool = flag(),
     force: bool = force_option,
     policy_options: PolicyOptions = policy_options,
 ) -> Report:
@@ -43,6 +41,12 @@ def export(
     If the tool makes documents of it for a transport, nothing is written unless these permit what the policy allows,
     for every name, as the transport's standard reads them; what vendors read otherwise is noted. XACML is not of that
     kind, and written without a proof.
+
+    Options:
+        form: The format: of a policy type, or xacml.
+        output: Write the policy to this file [standard output].
+        listed: Further subjects, one a line, for profiles with wildcards.
+        lossy: Leave out ALLOW rules that the format cannot express; each is listed.
     """
     writer = _writer(run, form)
     policies = Policies(run, policy_options)

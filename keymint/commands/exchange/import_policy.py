@@ -34,20 +34,9 @@ from keymint.workspace.policy_loading import foreign_policy
 def import_policy(
     run: Run,
     policy: Path = argument(type=FILE),
-    output: Path = path_option(
-        "Write the new policy into this folder, as NAME.xml.",
-        "-o",
-        metavar="DIR",
-        default="comarmor.d",
-        show_default=True,
-    ),
-    as_written: bool = flag("Take the policy as it reads where the other tool enforces something else."),
-    implicit: bool = option(
-        "--implicit/--no-implicit",
-        default=True,
-        show_default=True,
-        help="With the rules that the other tool adds by itself.",
-    ),
+    output: Path = path_option("-o", metavar="DIR", default="comarmor.d", show_default=True),
+    as_written: bool = flag(),
+    implicit: bool = option("--implicit/--no-implicit", default=True, show_default=True),
     force: bool = force_option,
     distro: str | None = distro_option,
     profile_type: str = library_option,
@@ -64,6 +53,12 @@ def import_policy(
 
     Nothing is written unless, for every name, what is compiled from the new policy permits what the other tool's
     documents permit, as the transport's standard reads them; what vendors read otherwise is noted.
+
+    Options:
+        output: Write the new policy into this folder, as NAME.xml.
+        as_written: Take the policy as it reads where the other tool enforces something else.
+        implicit: With the rules that the other tool adds by itself.
+        profile_type: Plugin that ships the policy library.
     """
     policies = Policies(run, PolicyOptions(distro, profile_type, ""))
     library = policies.shipped()  # an unknown distribution is wrong usage, whatever the file is

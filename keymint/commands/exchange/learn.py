@@ -28,11 +28,9 @@ from keymint.workspace.policy_loading import foreign_policy
 def learn(
     run: Run,
     graphs: tuple[Path, ...] = argument(type=PATH, nargs=-1, metavar="[GRAPH]..."),
-    keystore: Path | None = path_option(
-        "Learn from the signed documents of a keystore in place of a graph.", "--from-keystore", metavar="KEYSTORE"
-    ),
-    policy: Path | None = path_option("Keep this policy; generate only what it lacks.", metavar="EXISTING"),
-    output: Path | None = path_option("Write the policy to this file [standard output].", "-o"),
+    keystore: Path | None = path_option("--from-keystore", metavar="KEYSTORE"),
+    policy: Path | None = path_option(metavar="EXISTING"),
+    output: Path | None = path_option("-o"),
     force: bool = force_option,
     policy_options: PolicyOptions = policy_options,
 ) -> Report:
@@ -53,6 +51,11 @@ def learn(
     policy can say is an error with its line. See 'keymint adopt'.
 
     Exit code 3: a DENY rule of EXISTING denies an edge of the graph.
+
+    Options:
+        keystore: Learn from the signed documents of a keystore in place of a graph.
+        policy: Keep this policy; generate only what it lacks.
+        output: Write the policy to this file [standard output].
     """
     if keystore is not None:
         if graphs or policy is not None:

@@ -116,7 +116,7 @@ def authority_import(
     run: Run,
     name: str = authority_argument,
     certificate: Path = argument(type=FILE),
-    key_file: Path | None = path_option("Its private key, which is copied into private/.", "--key", kind=FILE),
+    key_file: Path | None = path_option("--key", kind=FILE),
     flag_day: bool = flag_day_option,
 ) -> Report:
     """Use the certificate of an authority that somebody else issued, as it is.
@@ -124,6 +124,9 @@ def authority_import(
     CERTIFICATE is a PEM file. Its private key may stay elsewhere: then everything works here that needs no signature of
     it. Once enclaves are installed, the certificate must be for the key that they trust; another key is the matter of
     'keymint authority replace'.
+
+    Options:
+        key_file: Its private key, which is copied into private/.
     """
     given = given_authority(run, certificate, key_file)
     return run.change(

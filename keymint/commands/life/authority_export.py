@@ -18,15 +18,17 @@ from keymint.errors import KeymintError, usage_error
 def authority_export(
     run: Run,
     name: str = authority_argument,
-    output: Path | None = path_option("Write the certificate here [standard output].", "-o", kind=FILE),
-    chain: bool = flag("Add the certificates above it, up to the self-signed one."),
-    key_file: Path | None = path_option(
-        "Also write its private key here (mode 0600). Whoever has it can make any robot do anything.",
-        "--with-key",
-        kind=FILE,
-    ),
+    output: Path | None = path_option("-o", kind=FILE),
+    chain: bool = flag(),
+    key_file: Path | None = path_option("--with-key", kind=FILE),
 ) -> Report:
-    """Write the certificate of an authority as PEM; never its private key, unless --with-key asks for it."""
+    """Write the certificate of an authority as PEM; never its private key, unless --with-key asks for it.
+
+    Options:
+        output: Write the certificate here [standard output].
+        chain: Add the certificates above it, up to the self-signed one.
+        key_file: Also write its private key here (mode 0600). Whoever has it can make any robot do anything.
+    """
     session = run.session()
     files = authority_files.read_files(session, authority_named(session, name))
     if files.certificate is None or files.content is None:

@@ -25,20 +25,11 @@ from keymint.workspace.session import Session
 def authority_replace(
     run: Run,
     name: str = authority_argument,
-    phase: str | None = option(
-        type=click.Choice([phase.value for phase in Phase]),
-        help="Go on to this phase: all robots have the keystore of the one before it.",
-    ),
-    cancel: bool = flag("Give up: the present authority stays. Only before the next one issues."),
-    vendors: tuple[str, ...] = option(
-        "--vendor",
-        multiple=True,
-        metavar="NAME",
-        help="The fleet has only this implementation of its transport; may be repeated [all]. If all of them "
-        "accept two authorities at once, no robot must wait for another one.",
-    ),
-    certificate: Path | None = path_option("The next authority is this one, made elsewhere.", kind=FILE),
-    key_file: Path | None = path_option("Its private key.", "--key", kind=FILE),
+    phase: str | None = option(type=click.Choice([phase.value for phase in Phase])),
+    cancel: bool = flag(),
+    vendors: tuple[str, ...] = option("--vendor", multiple=True, metavar="NAME"),
+    certificate: Path | None = path_option(kind=FILE),
+    key_file: Path | None = path_option("--key", kind=FILE),
 ) -> Report:
     """Replace the key of an authority, phase by phase.
 
@@ -46,6 +37,14 @@ def authority_replace(
     next one (reissue), then it alone (end). Elsewhere a second keystore by the next authority is made in install.next/
     (stage), all robots switch to it (ROS_SECURITY_KEYSTORE) at a common restart, and it becomes install/ (end). How far
     it has come stands in profile/; the same command again completes its phase. --dry-run says what each phase does.
+
+    Options:
+        phase: Go on to this phase: all robots have the keystore of the one before it.
+        cancel: Give up: the present authority stays. Only before the next one issues.
+        vendors: The fleet has only this implementation of its transport; may be repeated [all]. If all of them accept
+            two authorities at once, no robot must wait for another one.
+        certificate: The next authority is this one, made elsewhere.
+        key_file: Its private key.
     """
     if (cancel and (phase or vendors or certificate)) or (key_file and not certificate):
         raise usage_error(

@@ -28,20 +28,19 @@ from keymint.workspace.session import Session
 @verb(dry_run=True)
 def crl(
     run: Run,
-    refresh: bool = flag("Issue the lists again, with a higher number, and put them into all enclaves."),
-    rebuild: bool = flag(
-        "Make the lost register of issued certificates again, although it cannot have all revocations."
-    ),
-    valid_for: timedelta | None = option(
-        type=validity,
-        metavar="PERIOD",
-        help="With --refresh, let the lists end after this time: 30d, 4w. Nodes with an expired list do not start.",
-    ),
+    refresh: bool = flag(),
+    rebuild: bool = flag(),
+    valid_for: timedelta | None = option(type=validity, metavar="PERIOD"),
 ) -> Report:
     """Show the revocation lists: number, dates, and revoked certificates.
 
     A list ends with its authority. An expired one would keep each node that has it from starting, so a shorter
     period must be asked for.
+
+    Options:
+        refresh: Issue the lists again, with a higher number, and put them into all enclaves.
+        rebuild: Make the lost register of issued certificates again, although it cannot have all revocations.
+        valid_for: With --refresh, let the lists end after this time: 30d, 4w. Nodes with an expired list do not start.
     """
     if valid_for is not None and not refresh:
         raise click.UsageError("--valid-for needs --refresh.")

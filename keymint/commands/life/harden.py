@@ -29,7 +29,7 @@ def harden(
     run: Run,
     step: str | None = argument(type=click.Choice([str(each) for each in Weakness]), required=False),
     names: Names = names_group(state=False),
-    applied: bool = flag("Do the step; without it, see its cost and change nothing.", "--apply"),
+    applied: bool = flag("--apply"),
     flag_day: bool = flag_day_option,
 ) -> Report:
     """Say which steps are open and what each costs; do one of them with --apply.
@@ -40,6 +40,9 @@ def harden(
     names          a unique RDN in the subject names of the packages NAME [all]
 
     Private keys in the workspace are 0600 already; on robots that is 'chmod 600'.
+
+    Options:
+        applied: Do the step; without it, see its cost and change nothing.
     """
     if applied:
         run.recover(run.workspace())

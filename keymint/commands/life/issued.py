@@ -26,15 +26,17 @@ STAGE = "register"
 def issued_certificates(
     run: Run,
     names: Names = names_group(),
-    revoked: bool = flag("Only certificates that were revoked."),
-    tolerate: bool = flag(
-        "Tolerate that holders may present documents of NAME that were signed before and permit more than the policy, "
-        "until these end: 'check', 'prove' and 'status' mention them no more."
-    ),
+    revoked: bool = flag(),
+    tolerate: bool = flag(),
 ) -> Report:
     """List the certificates that were issued: serial number, subject, generation, dates, and whether it is revoked.
 
     NAME is a package [all], also one whose sources are gone. --json has the fingerprints of the keys as well.
+
+    Options:
+        revoked: Only certificates that were revoked.
+        tolerate: Tolerate that holders may present documents of NAME that were signed before and permit more than the
+            policy, until these end: 'check', 'prove' and 'status' mention them no more.
     """
     if tolerate:
         return run.change(partial(_accepted, run, names))

@@ -22,7 +22,7 @@ from keymint.workspace.session import Session
 def remove(
     run: Run,
     names: Names = names_group(required=True),
-    never_deployed: bool = flag("No robot ever had the enclave, so its certificate need not be revoked."),
+    never_deployed: bool = flag(),
 ) -> Report:
     """Remove packages for good: sources, documents, key and enclave; their certificates are revoked as retired.
 
@@ -30,6 +30,9 @@ def remove(
     and restart those that are listed. NAME is a package, or an enclave whose package is gone.
 
     A package that is made again under the same name gets a new key, and goes on with the next generation.
+
+    Options:
+        never_deployed: No robot ever had the enclave, so its certificate need not be revoked.
     """
 
     def make_plan(session: Session) -> tuple[Plan, tuple[Revoking, Plan, tuple[str, ...]]]:

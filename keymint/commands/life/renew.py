@@ -45,14 +45,8 @@ NOT_HERE = "authority-key-missing"
 def renew(
     run: Run,
     names: Names = names_group(),
-    threshold: Threshold = option(
-        type=threshold,
-        default="66%",
-        show_default=True,
-        metavar="PART",
-        help="Due after this part of the validity, or if it ends within this time: 66%, 30d.",
-    ),
-    rekey: bool = flag("Also make new keys; the way back for a package whose key is barred."),
+    threshold: Threshold = option(type=threshold, default="66%", show_default=True, metavar="PART"),
+    rekey: bool = flag(),
     prove: bool = prove_option,
 ) -> Report:
     """Renew certificates and permissions that are due, for the same keys; nothing else changes.
@@ -68,6 +62,10 @@ def renew(
       0 renewed, or nothing is due
       1 something that is due was not renewed
       3 a person must renew an authority, a second keystore, or make a key elsewhere; with --dry-run: something is due
+
+    Options:
+        threshold: Due after this part of the validity, or if it ends within this time: 66%, 30d.
+        rekey: Also make new keys; the way back for a package whose key is barred.
     """
 
     def make_plan(session: Session) -> tuple[Plan, _Renewal]:

@@ -30,11 +30,7 @@ from keymint.workspace.session import Session
 def revoke(
     run: Run,
     names: Names = names_group(required=True),
-    reason: str = option(
-        type=click.Choice(REASONS),
-        required=True,
-        help="superseded: the same key gets a new certificate. All others: nothing is issued for this key again.",
-    ),
+    reason: str = option(type=click.Choice(REASONS), required=True),
     prove: bool = prove_option,
 ) -> Report:
     """Revoke the certificates of some packages.
@@ -45,6 +41,9 @@ def revoke(
 
     With the reason superseded a new certificate for the same key is installed. Otherwise the enclave is removed, until
     'keymint renew --rekey NAME' makes a new key.
+
+    Options:
+        reason: superseded: the same key gets a new certificate. All others: nothing is issued for this key again.
     """
 
     def make_plan(session: Session) -> tuple[Plan, tuple[Revoking, Plan, tuple[str, ...]]]:

@@ -39,19 +39,18 @@ def accept(
     run: Run,
     files: tuple[Path, ...] = argument(nargs=-1, required=True, type=FILE, metavar="BUNDLE..."),
     folder: Path | None = folder_option,
-    fingerprints: tuple[str, ...] = option(
-        "--authority-fingerprint",
-        multiple=True,
-        metavar="SHA256",
-        help="Trust the authority with this key; needed the first time, and when an authority gets a new key. "
-        "'keymint authority show' prints it, where the authority is. May be repeated.",
-    ),
-    new: bool = flag("Take a bundle for an enclave that this robot neither has nor asked for."),
+    fingerprints: tuple[str, ...] = option("--authority-fingerprint", multiple=True, metavar="SHA256"),
+    new: bool = flag(),
 ) -> Report:
     """Take bundles that an authority made for this robot ('keymint sign', 'keymint bundle'); each is for one enclave.
 
     Needs no workspace. A bundle is taken if an authority signed it that this keystore trusts, if this robot has its
     key, and if no number in it goes back; else nothing changes. The folder of an enclave changes in one step.
+
+    Options:
+        fingerprints: Trust the authority with this key; needed the first time, and when an authority gets a new key.
+            'keymint authority show' prints it, where the authority is. May be repeated.
+        new: Take a bundle for an enclave that this robot neither has nor asked for.
     """
     keystore = keystore_of(run, folder)
     owner = Owner(frozenset(map(fingerprint, fingerprints)), new=new)

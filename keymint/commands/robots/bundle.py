@@ -37,9 +37,9 @@ from keymint.workspace.package_build_types import build_types_of
 from keymint.workspace.session import Session
 
 bundle_output_option = path_option(
-    "File of the bundle, or folder of several, which are named NAME.bundle [the current directory].",
     "-o",
     metavar="PATH",
+    help="File of the bundle, or folder of several, which are named NAME.bundle [the current directory].",
 )
 
 
@@ -48,15 +48,16 @@ def bundle(
     run: Run,
     names: Names = names_group("NAME", required=True),
     output: Path | None = bundle_output_option,
-    staged: bool = flag(
-        "Of the second keystore, which 'keymint authority replace' staged; accept it into a copy of the keystore."
-    ),
+    staged: bool = flag(),
 ) -> Report:
     """Write installed enclaves into bundles, one for each, which robots take with 'keymint accept'.
 
     A bundle is signed by the authority of the enclave's certificate, and numbered, so that a robot never goes back. It
     has the private key if this workspace made it; then keep it as secret as the key. NAME is an installed package, and
     PATTERN matches the names of several: '/robot1/*'.
+
+    Options:
+        staged: Of the second keystore, which 'keymint authority replace' staged; accept it into a copy of the keystore.
     """
 
     def make_plan(session: Session) -> tuple[Plan, Sequence[MadeBundle]]:

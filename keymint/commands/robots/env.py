@@ -19,7 +19,7 @@ from keymint.workspace.installed_enclaves import enclave_names
 def env(
     run: Run,
     enclave: str = argument(),
-    shell: str = option(type=click.Choice(tuple(SHELLS)), default="bash", show_default=True, help="Syntax to print."),
+    shell: str = option(type=click.Choice(tuple(SHELLS)), default="bash", show_default=True),
 ) -> Report:
     """Print the environment variables with which a process uses an installed ENCLAVE, and no other.
 
@@ -31,6 +31,9 @@ def env(
 
     All processes of a shell find the keystore, each by the name of its enclave, after 'source install/keystore.bash'
     (.zsh, .fish).
+
+    Options:
+        shell: Syntax to print.
     """
     session = run.inputs(run.workspace()).session()
     name, known = package_name(enclave), enclave_names(session)

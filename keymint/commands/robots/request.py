@@ -15,7 +15,7 @@ from comarmor.errors import Origin
 from keymint.api import KeySpec
 from keymint.command_line.named_files import deliver
 from keymint.command_line.robot_options import folder_option, keystore_of, opened_store
-from keymint.command_line.verb import FILE, Report, Run, argument, flag, option, verb
+from keymint.command_line.verb import FILE, Report, Run, argument, flag, option, path_option, verb
 from keymint.errors import KeymintError
 from keymint.names import package_name, subject_of
 from keymint.pki import certificates, keys
@@ -36,14 +36,12 @@ _KINDS: Mapping[str, KeySpec] = {
 def request(
     run: Run,
     name: str = argument(),
-    output: Path | None = option("-o", type=FILE, metavar="FILE", help="The request [NAME.request.pem]."),
+    output: Path | None = path_option("-o", kind=FILE),
     folder: Path | None = folder_option,
-    rekey: bool = flag("Make a new key for an enclave that has one; the old one signs the request."),
-    discard: bool = flag("Discard a request that waits for its answer, with its key."),
-    key_type: str = option(
-        type=click.Choice(list(_KINDS)), default="P-256", show_default=True, help="Kind of a new key."
-    ),
-    uri: str = option("--pkcs11", metavar="URI", default="", help="The key lies in a token: its URI (RFC 7512)."),
+    rekey: bool = flag(),
+    discard: bool = flag(),
+    key_type: str = option(type=click.Choice(list(_KINDS)), default="P-256", show_default=True),
+    uri: str = option("--pkcs11", metavar="URI", default=""),
     pin_env: str = option(
         metavar="VARIABLE", default="", help=f"Environment variable of the token's PIN [{PIN_VARIABLE}]."
     ),
@@ -60,6 +58,13 @@ def request(
     of the enclave's package, so that its node finds the key.
 
     A request that is not answered yet is written again.
+
+    Options:
+        output: The request [NAME.request.pem].
+        rekey: Make a new key for an enclave that has one; the old one signs the request.
+        discard: Discard a request that waits for its answer, with its key.
+        key_type: Kind of a new key.
+        uri: The key lies in a token: its URI (RFC 7512).
     """
     name = package_name(name)
     keystore = keystore_of(run, folder)

@@ -41,12 +41,7 @@ STAGE = "sign"
 def sign(
     run: Run,
     files: tuple[Path, ...] = argument(nargs=-1, required=True, type=FILE, metavar="REQUEST..."),
-    typed: tuple[str, ...] = option(
-        "--fingerprint",
-        multiple=True,
-        metavar="NAME=SHA256",
-        help="The fingerprint of the key, as read at the robot; 'keymint request' prints it there. May be repeated.",
-    ),
+    typed: tuple[str, ...] = option("--fingerprint", multiple=True, metavar="NAME=SHA256"),
     output: Path | None = bundle_output_option,
     prove: bool = prove_option,
 ) -> Report:
@@ -55,6 +50,9 @@ def sign(
     Only the public key is taken from a request; the name, the validity and the rights are those of the package here.
     Whoever carried the request may have exchanged the key in it. So its fingerprint, as it was read at the robot, must
     be given, unless the key that the package has signed the request.
+
+    Options:
+        typed: The fingerprint of the key, as read at the robot; 'keymint request' prints it there. May be repeated.
     """
     fingerprints: dict[str, str] = {}
     for each in typed:

@@ -31,8 +31,8 @@ from keymint.workspace.session import Session
 def build(
     run: Run,
     names: Names = names_group(),
-    force: bool = flag("Rebuild everything; discard manual edits.", "-f"),
-    rekey: bool = flag("Replace the private keys of the packages NAME; by default keys are kept."),
+    force: bool = flag("-f"),
+    rekey: bool = flag(),
     document_options: DocumentOptions = document_options,
 ) -> Report:
     """Build unsigned documents in build/, and create a key for each subject that has none.
@@ -40,6 +40,10 @@ def build(
     All packages are validated before anything is written. Documents stay unsigned until 'keymint install', so you may
     edit them in between. Permissions are rewritten into a smaller form that is proven equivalent; both sizes are
     shown. NAME is a package [all].
+
+    Options:
+        force: Rebuild everything; discard manual edits.
+        rekey: Replace the private keys of the packages NAME; by default keys are kept.
     """
     if rekey and not names:
         help_ = "name them: 'keymint build --rekey NAME', or '*' for all; 'keymint renew' keeps keys"

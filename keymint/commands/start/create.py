@@ -45,17 +45,15 @@ class AcceptanceOptions:
         trust_package: packages whose profiles are accepted as they are now, each with the digest that it must have, or
             an empty text.
         trust_links: symbolic links of these packages may lead out of them.
+
+    Options:
+        trust_package: Trust the profiles that this ROS package ships, as they are now (docs/packages.md). May be
+            repeated.
+        trust_links: Follow symbolic links out of the trusted packages, as 'colcon build --symlink-install' makes.
     """
 
-    trust_package: Mapping[str, str] = option(
-        multiple=True,
-        callback=_named,
-        metavar="NAME[=SHA256]",
-        help="Trust the profiles that this ROS package ships, as they are now (docs/packages.md). May be repeated.",
-    )
-    trust_links: bool = flag(
-        "Follow symbolic links out of the trusted packages, as 'colcon build --symlink-install' makes."
-    )
+    trust_package: Mapping[str, str] = option(multiple=True, callback=_named, metavar="NAME[=SHA256]")
+    trust_links: bool = flag()
 
 
 acceptance_options = option_group(AcceptanceOptions)
@@ -65,8 +63,8 @@ acceptance_options = option_group(AcceptanceOptions)
 def create(
     run: Run,
     names: Names = names_group(state=False),
-    all_subjects: bool = flag("Create every subject that the policy names exactly.", "--all"),
-    force: bool = flag("Replace the rules of a package even if they were edited manually.", "-f"),
+    all_subjects: bool = flag("--all"),
+    force: bool = flag("-f"),
     valid_for: str | None = valid_for_option,
     acceptance: AcceptanceOptions = acceptance_options,
 ) -> Report:
@@ -78,6 +76,10 @@ def create(
     names it only by a wildcard. Manual edits of other documents are preserved.
 
     With --trust-package and without NAME and --all it only records what was accepted.
+
+    Options:
+        all_subjects: Create every subject that the policy names exactly.
+        force: Replace the rules of a package even if they were edited manually.
     """
     if not names and not all_subjects and not acceptance.trust_package:
         raise usage_error("no subject is named", "name some, or use --all")

@@ -28,29 +28,24 @@ from keymint.workspace.workspace import PROFILE_MARKER, Workspace
 
 @dataclass(frozen=True, slots=True)
 class ProfileOptions:
-    """What shapes the profile of a new workspace; None for an option that was not given."""
+    """What shapes the profile of a new workspace; None for an option that was not given.
+
+    Options:
+        transports: Transport to provision for; may be repeated [that of the profile type].
+        domain: Domain id [0].
+        layout: Layout of install/, of those that the transport has [the one that the distribution reads].
+        subject_format: Form of subject names in certificates, of those that the profile type has [unique].
+    """
 
     profile_type: str | None = plugin(
         "keymint.profile_types",
-        f"Plugin that makes the profile; 'keymint plugins' lists them [{DEFAULT_PROFILE_TYPE}].",
+        help=f"Plugin that makes the profile; 'keymint plugins' lists them [{DEFAULT_PROFILE_TYPE}].",
     )
     distro: str | None = distro_option
-    transports: tuple[str, ...] = option(
-        "--transport",
-        multiple=True,
-        metavar="NAME",
-        help="Transport to provision for; may be repeated [that of the profile type].",
-    )
-    domain: int | None = option(type=click.IntRange(0, 230), metavar="N", help="Domain id [0].")
-    layout: str | None = option(
-        metavar="NAME",
-        help="Layout of install/, of those that the transport has [the one that the distribution reads].",
-    )
-    subject_format: str | None = option(
-        metavar="NAME",
-        hidden=True,
-        help="Form of subject names in certificates, of those that the profile type has [unique].",
-    )
+    transports: tuple[str, ...] = option("--transport", multiple=True, metavar="NAME")
+    domain: int | None = option(type=click.IntRange(0, 230), metavar="N")
+    layout: str | None = option(metavar="NAME")
+    subject_format: str | None = option(metavar="NAME", hidden=True)
     valid_for: str | None = valid_for_option
 
 
@@ -61,10 +56,7 @@ profile_options = option_group(ProfileOptions)
 def init(
     run: Run,
     folder: Path | None = argument(metavar="[WORKSPACE]", required=False, type=PATH),
-    policy: Path | None = path_option(
-        "ComArmor file or directory that becomes the policy of the workspace [the talker/listener example].",
-        metavar="PATH",
-    ),
+    policy: Path | None = path_option(metavar="PATH"),
     profile: ProfileOptions = profile_options,
 ) -> Report:
     """Create a workspace: a profile with conservative defaults, and two certificate authorities.
@@ -72,6 +64,9 @@ def init(
     \b
     Then write your policy in profile/comarmor.d/, where talker_listener.xml is an example, and run
         keymint create --all && keymint build && keymint install
+
+    Options:
+        policy: ComArmor file or directory that becomes the policy of the workspace [the talker/listener example].
     """
     workspace = run.workspace_at(folder)
     if workspace.exists():

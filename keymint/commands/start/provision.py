@@ -44,10 +44,10 @@ def provision(
     run: Run,
     policy: Path = argument(type=PATH),
     profile: ProfileOptions = profile_options,
-    force: bool = flag("Discard manual edits of packages' rules and of built documents.", "-f"),
+    force: bool = flag("-f"),
     rekey: Names = option_group(
         Names,
-        given=option("--rekey", multiple=True, metavar="NAME", help="Replace the private key of NAME, or a pattern."),
+        given=option("--rekey", multiple=True, metavar="NAME"),
     ),
     document_options: DocumentOptions = document_options,
     request: InstallRequest = install_request(),
@@ -58,6 +58,10 @@ def provision(
     Everything is planned and validated before anything is written. Run it again after each change of the policy: only
     affected packages are rebuilt and signed, and keys are kept. Nothing is installed unless each document is proven to
     permit exactly what the policy allows, for all names.
+
+    Options:
+        force: Discard manual edits of packages' rules and of built documents.
+        given: Replace the private key of NAME, or a pattern.
     """
     run.shown_notes = _SHOWN
     workspace = run.workspace_at(None)

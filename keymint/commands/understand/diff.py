@@ -35,14 +35,7 @@ def diff(
     old: str = argument(metavar="A"),
     new: str = argument(metavar="B"),
     kind: str = option("--format", type=click.Choice(FORMATS), default="text", show_default=True),
-    budget: int = option(
-        default=STATES,
-        show_default=True,
-        metavar="STATES",
-        type=click.IntRange(1),
-        hidden=True,
-        help="States to search.",
-    ),
+    budget: int = option(default=STATES, show_default=True, metavar="STATES", type=click.IntRange(1), hidden=True),
     policy_options: PolicyOptions = policy_options,
 ) -> Report:
     """Compare the policies A and B: list what each subject gains and loses, for all names.
@@ -56,6 +49,9 @@ def diff(
     \b
     keymint diff old.xml new.xml
     keymint diff HEAD~1:policy policy --format markdown
+
+    Options:
+        budget: States to search.
     """
     if kind == "json":
         run.console = Console(run.setting.streams, as_json=True)

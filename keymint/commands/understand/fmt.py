@@ -47,8 +47,8 @@ class _Formatted:
 def fmt(
     run: Run,
     paths: tuple[Path, ...] = argument(nargs=-1, type=PATH, metavar="[PATH]..."),
-    check: bool = flag("Write nothing; exit code 3 if a file is not in canonical form."),
-    as_diff: bool = flag("Write nothing; show what would change.", "--diff"),
+    check: bool = flag(),
+    as_diff: bool = flag("--diff"),
 ) -> Report:
     """Bring policies, files that they include, and policy tests into their canonical form.
 
@@ -62,6 +62,10 @@ def fmt(
     \b
     keymint fmt comarmor.d
     keymint fmt --check --diff comarmor.d     in CI: exit code 3 if a file would change
+
+    Options:
+        check: Write nothing; exit code 3 if a file is not in canonical form.
+        as_diff: Write nothing; show what would change.
     """
     if _STANDARD in paths and len(paths) > 1:
         raise usage_error("- for standard input stands alone", "format files in another call")

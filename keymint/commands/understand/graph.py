@@ -55,19 +55,13 @@ FORMATS = ("svg", "png", "dot", "html")
 def graph(
     run: Run,
     source: Path | None = argument(metavar="[POLICY|GRAPH]", required=False, type=PATH),
-    output: Path | None = path_option("Write to this file; its suffix selects the format.", "-o"),
-    kind: str | None = option(
-        "--format", type=click.Choice(FORMATS), help="Format [from the suffix of FILE, else svg]."
-    ),
-    policy: Path | None = option(type=PATH, metavar="PATH", help="Label the edges of GRAPH by this policy."),
-    everything: bool = flag("Draw every possible edge, also those that no rule allows.", "--all"),
-    named: tuple[str, ...] = option(
-        "--subject", multiple=True, metavar="NAME", help="Draw only this subject; may be repeated."
-    ),
-    namespaces: tuple[str, ...] = option(
-        "--namespace", multiple=True, metavar="NAME", help="Draw only subjects at or below this name."
-    ),
-    only: str | None = option(type=click.Choice(["allowed", "denied"]), help="Draw only edges with this label."),
+    output: Path | None = path_option("-o"),
+    kind: str | None = option("--format", type=click.Choice(FORMATS)),
+    policy: Path | None = path_option(metavar="PATH"),
+    everything: bool = flag("--all"),
+    named: tuple[str, ...] = option("--subject", multiple=True, metavar="NAME"),
+    namespaces: tuple[str, ...] = option("--namespace", multiple=True, metavar="NAME"),
+    only: str | None = option(type=click.Choice(["allowed", "denied"])),
     drawing: DrawingOptions = option_group(
         DrawingOptions,
         split=option(
@@ -75,37 +69,22 @@ def graph(
             type=click.Choice([str(split) for split in Split]),
             default="none",
             callback=lambda _context, _parameter, value: Split(value),
-            help="Draw one panel for each.",
         ),
-        fold=option(
-            "--fold/--no-fold",
-            default=None,
-            help="Draw one of the robots that are equal up to the name [beyond 30 subjects or 600 lines], and objects "
-            "with the same edges as one [from 40 objects on].",
-        ),
-        group=option(
-            "--group/--no-group",
-            default=None,
-            help="Draw the subjects of a namespace as a matrix [where more than 30 subjects or 600 lines remain].",
-        ),
-        common=flag("Draw also what every node may do: parameters, logging, time, discovery."),
-        limit=option(
-            type=click.IntRange(1), help="Draw at most this many edges, and count the others by kind [no limit]."
-        ),
+        fold=option("--fold/--no-fold", default=None),
+        group=option("--group/--no-group", default=None),
+        common=flag(),
+        limit=option(type=click.IntRange(1)),
         theme=option(
             type=click.Choice([str(theme) for theme in Theme]),
             default="auto",
             show_default=True,
             callback=lambda _context, _parameter, value: Theme(value),
-            help="Colours; auto follows the reader's settings.",
         ),
     ),
-    scale: float = option(type=Number(0.1, 10), default=2.0, show_default=True, help="Resolution of a PNG."),
-    title: str | None = option(metavar="TEXT", help="Title of the picture."),
+    scale: float = option(type=Number(0.1, 10), default=2.0, show_default=True),
+    title: str | None = option(metavar="TEXT"),
     policy_options: PolicyOptions = policy_options,
-    source_type: str | None = plugin(
-        "keymint.graph_sources", "Plugin that reads a capture [the only one that is installed]."
-    ),
+    source_type: str | None = plugin("keymint.graph_sources"),
 ) -> Report:
     """Draw a policy, or the graph of a system, as a picture or a web page.
 
@@ -117,6 +96,25 @@ def graph(
     keymint graph policy.xml -o policy.svg                     what the policy allows and denies
     keymint graph policy.xml -o policy.html                    the same as a page with search
     keymint graph graph.json --policy policy.xml --all -o g.png   every possible edge, with its label
+
+    Options:
+        output: Write to this file; its suffix selects the format.
+        kind: Format [from the suffix of FILE, else svg].
+        policy: Label the edges of GRAPH by this policy.
+        everything: Draw every possible edge, also those that no rule allows.
+        named: Draw only this subject; may be repeated.
+        namespaces: Draw only subjects at or below this name.
+        only: Draw only edges with this label.
+        split: Draw one panel for each.
+        fold: Draw one of the robots that are equal up to the name [beyond 30 subjects or 600 lines], and objects with
+            the same edges as one [from 40 objects on].
+        group: Draw the subjects of a namespace as a matrix [where more than 30 subjects or 600 lines remain].
+        common: Draw also what every node may do: parameters, logging, time, discovery.
+        limit: Draw at most this many edges, and count the others by kind [no limit].
+        theme: Colours; auto follows the reader's settings.
+        scale: Resolution of a PNG.
+        title: Title of the picture.
+        source_type: Plugin that reads a capture [the only one that is installed].
     """
     chosen_format = _format(output, kind)
     policies = Policies(run, policy_options)

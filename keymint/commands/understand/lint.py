@@ -14,7 +14,7 @@ from keymint.api import BuildType
 from keymint.command_line.named_files import write_outputs
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions, policy_options
-from keymint.command_line.verb import FILE, PATH, Report, Run, argument, findings_exit, option, plugin, verb
+from keymint.command_line.verb import FILE, PATH, Report, Run, argument, findings_exit, path_option, plugin, verb
 from keymint.errors import usage_error
 from keymint.examine.nodes import NODE_NOTES, node_notes, of_policy
 from keymint.ir import SubjectRules
@@ -26,13 +26,8 @@ from keymint.output.sarif import sarif as sarif_log
 def lint(
     run: Run,
     policy: Path | None = argument(required=False, type=PATH),
-    sarif: Path | None = option(type=FILE, metavar="FILE", help="Write SARIF 2.1.0."),
-    chosen: tuple[str, ...] = plugin(
-        "keymint.build_types",
-        "Plugin that checks the rules for its transport; may be repeated [those of the workspace, or of a new one].",
-        "--build-type",
-        multiple=True,
-    ),
+    sarif: Path | None = path_option(kind=FILE),
+    chosen: tuple[str, ...] = plugin("keymint.build_types", "--build-type", multiple=True),
     policy_options: PolicyOptions = policy_options,
 ) -> Report:
     """Report unreachable, redundant and suspicious rules of POLICY.
@@ -47,6 +42,11 @@ def lint(
     POLICY is a ComArmor file or directory, or a workspace [the current workspace]. A finding is true for all names and
     for every subject of the rule. docs/verification.md says in one table what each verb reads.
     Exit code 3: there are findings.
+
+    Options:
+        sarif: Write SARIF 2.1.0.
+        chosen: Plugin that checks the rules for its transport; may be repeated [those of the workspace, or of a new
+            one].
     """
     policies = Policies(run, policy_options)
     loaded = policies.load(policy)

@@ -116,12 +116,10 @@ def legal_expression(text: str) -> str:
 def query(
     run: Run,
     words: tuple[str, ...] = argument(nargs=-1, metavar="[POLICY] QUESTION..."),
-    but: tuple[str, ...] = option(
-        "--except", multiple=True, metavar="OBJECT", help="flows, isolated: ignore these objects."
-    ),
-    infrastructure: bool = flag("flows, isolated: also count what the library allows every node."),
+    but: tuple[str, ...] = option("--except", multiple=True, metavar="OBJECT"),
+    infrastructure: bool = flag(),
     kind: str | None = kind_option,
-    partition: str = option(default="", metavar="NAME", help="Partition of a raw topic [the default one]."),
+    partition: str = option(default="", metavar="NAME"),
     policy_options: PolicyOptions = policy_options,
 ) -> Report:
     """Ask a policy a question. SUBJECT and OBJECT may be patterns; the prefix 'ros_' of permissions is optional.
@@ -139,6 +137,11 @@ def query(
     allows every node, such as ros_discovery_info, separately; they count only with --infrastructure.
 
     Exit code 3: subjects are not isolated, or the answer is unknown.
+
+    Options:
+        but: flows, isolated: ignore these objects.
+        infrastructure: flows, isolated: also count what the library allows every node.
+        partition: Partition of a raw topic [the default one].
     """
     path, question = _read(words, run.setting.cwd, kind or "", partition)
     about_flows = question.head in ("flows", "isolated")

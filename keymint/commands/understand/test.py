@@ -13,7 +13,7 @@ from keymint.api import Expectation
 from keymint.command_line.named_files import write_outputs
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions, policy_options
-from keymint.command_line.verb import FILE, PATH, Number, Report, Run, argument, findings_if, option, verb
+from keymint.command_line.verb import FILE, PATH, Number, Report, Run, argument, findings_if, option, path_option, verb
 from keymint.errors import KeymintError
 from keymint.ir import Rule
 from keymint.output.junit import JUnitCase
@@ -24,10 +24,8 @@ from keymint.output.junit import junit as junit_document
 def test(
     run: Run,
     policy: Path | None = argument(required=False, type=PATH),
-    junit: Path | None = option(type=FILE, metavar="FILE", help="Write JUnit XML."),
-    min_coverage: float = option(
-        type=Number(0, 100), default=0.0, metavar="PERCENT", help="Fail if rule coverage is below PERCENT [0]."
-    ),
+    junit: Path | None = path_option(kind=FILE),
+    min_coverage: float = option(type=Number(0, 100), default=0.0, metavar="PERCENT"),
     policy_options: PolicyOptions = policy_options,
 ) -> Report:
     """Run the unit tests of POLICY: NAME.test.xml beside NAME.xml, or all *.test.xml in its directory.
@@ -45,6 +43,10 @@ def test(
     that no expectation covers. docs/verification.md says in one table what each verb reads.
 
     Exit code 3: an expectation fails, or rule coverage is below --min-coverage.
+
+    Options:
+        junit: Write JUnit XML.
+        min_coverage: Fail if rule coverage is below PERCENT [0].
     """
     policies = Policies(run, policy_options)
     policy_type = run.plugins.policy_type(policy_options.policy_type)

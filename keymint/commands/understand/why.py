@@ -16,14 +16,7 @@ from keymint.command_line.options import implementation_option, kind_option, raw
 from keymint.command_line.verb import Report, Run, argument, findings_if, option, verb
 from keymint.names import name_of
 from keymint.output.json import Typed, decision_json, edge_json, place_json, verdict_json
-from keymint.output.mismatches import (
-    document_reason,
-    enumeration,
-    mismatch_finding,
-    request_text,
-    rule_text,
-    verb_of,
-)
+from keymint.output.mismatches import document_reason, enumeration, mismatch_finding, request_text, rule_text, verb_of
 from keymint.output.report import members
 from keymint.stages.proof.trust_anchors import differences
 from keymint.verify.transports import choose, models
@@ -38,12 +31,8 @@ def why(
     permission: str = argument(),
     object_name: str = argument(metavar="OBJECT"),
     kind: str | None = kind_option,
-    partitions: tuple[str, ...] = option(
-        "--partition", multiple=True, metavar="NAME", help="Partition; may be repeated."
-    ),
-    domain: int | None = option(
-        type=click.IntRange(0, 232), metavar="N", help="Domain id [the first one of the grant]."
-    ),
+    partitions: tuple[str, ...] = option("--partition", multiple=True, metavar="NAME"),
+    domain: int | None = option(type=click.IntRange(0, 232), metavar="N"),
     chosen: tuple[str, ...] = implementation_option,
 ) -> Report:
     """Explain why SUBJECT has, or lacks, PERMISSION on OBJECT: policy, package, transport names, document, transports.
@@ -54,6 +43,10 @@ def why(
     keymint why /bridge publish telemetry --kind topic --partition ops
 
     Exit code 3: a transport disagrees with the policy, or the enclave does not trust the workspace's authorities.
+
+    Options:
+        partitions: Partition; may be repeated.
+        domain: Domain id [the first one of the grant].
     """
     session = run.session()
     package = source_package(session, subject)

@@ -15,10 +15,14 @@ from keymint.errors import ExitCode, usage_error
 
 @dataclass(frozen=True)
 class Group:
-    """Two options of a command line, and a field that is none."""
+    """Two options of a command line, and a field that is none.
+
+    Options:
+        second: Said.
+    """
 
     first: str | None
-    second: bool = flag("Said.")
+    second: bool = flag()
     rest: str = "default"
 
 

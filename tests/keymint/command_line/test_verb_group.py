@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import inspect
 import subprocess
 import sys
 from collections.abc import Callable
@@ -11,6 +12,7 @@ import click
 import pytest
 
 from keymint.cli import cli
+from keymint.command_line.verb import option_texts
 from keymint.command_line.verb_group import VerbGroup, foreign_words
 from keymint.commands.life.authority import authority
 from tests.conftest import Outcome
@@ -72,6 +74,19 @@ def test_words_of_other_tools_name_verbs(group: VerbGroup) -> None:
         options = {each for parameter in command.params for each in parameter.opts}
         verbs = command.list_commands(context) if isinstance(command, click.Group) else []
         assert {*arguments} <= {*options, *verbs}, said
+
+
+@pytest.mark.parametrize("group", [cli, authority], ids=["keymint", "authority"])
+def test_each_option_has_a_text_and_each_text_an_option(group: VerbGroup) -> None:
+    context = click.Context(cli)
+    for name in group.list_commands(context):
+        command = group.get_command(context, name)
+        if command is None or command.callback is None or isinstance(command, click.Group):
+            continue
+        options = {str(each.name): each for each in command.params if isinstance(each, click.Option)}
+        silent = {option for option, each in options.items() if not (each.help or each.hidden)}
+        assert silent <= {"kind"} if name == "diff" else not silent, name  # its values say it
+        assert option_texts(inspect.unwrap(command.callback))[1].keys() <= options.keys(), name
 
 
 @pytest.mark.parametrize("group", [(), ("authority",)], ids=["verbs", "authority"])
