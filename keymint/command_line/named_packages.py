@@ -174,9 +174,7 @@ def listed_names(content: bytes, file: str) -> Iterator[tuple[str, Origin]]:
                 "the list of subjects is not UTF-8", where=where, help="save it as UTF-8", code="subjects-invalid"
             ) from None
         if not name.isprintable():
-            raise KeymintError(
-                f"the subject has characters that cannot be printed: {quote(name)}", where=where, help="remove them",
-                code="subjects-invalid",
-            )  # fmt: skip
+            message = f"the subject has characters that cannot be printed: {quote(name)}"
+            raise KeymintError(message, where=where, help="remove them", code="subjects-invalid")
         if name:
             yield name, where

@@ -156,12 +156,8 @@ class Keyring:
             raise _shared(session, name, owner, "key-of-authority")
         known = known_fingerprint(session, name)
         if known and known != fingerprint:
-            raise KeymintError(
-                f"is not the private key that {subject_of(name)} had: it was replaced",
-                where=key_place(session, name),
-                help=key_remedy(name),
-                code="key-replaced",
-            )
+            message = f"is not the private key that {subject_of(name)} had: it was replaced"
+            raise KeymintError(message, where=key_place(session, name), help=key_remedy(name), code="key-replaced")
         if recorded_key(state, IDENTITY_KEYS, name) != fingerprint:  # so it may not be its own
             for other in self._owners.get(fingerprint, ()):
                 if other != name:
@@ -255,12 +251,8 @@ def shared_keys(inputs: Inputs, fingerprints: Mapping[str, str]) -> Iterator[Dia
 
 def _shared(inputs: Inputs, name: str, owner: str, code: str = "key-shared") -> KeymintError:
     """Return the error for a subject that has the key of another one, or of an authority."""
-    return KeymintError(
-        f"is the private key of {owner} as well, so that each could act as the other",
-        where=key_place(inputs, name),
-        help=key_remedy(name),
-        code=code,
-    )
+    message = f"is the private key of {owner} as well, so that each could act as the other"
+    return KeymintError(message, where=key_place(inputs, name), help=key_remedy(name), code=code)
 
 
 # -- enclaves without sources ----------------------------------------------------------------------------------------

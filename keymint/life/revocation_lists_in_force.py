@@ -219,9 +219,6 @@ def require_nothing_lost(before: bytes | None, after: bytes | None, where: Origi
     serials = {each.serial for each in new.revocations} if new else frozenset[int]()
     lost = [each for each in found.revocations if each.serial not in serials]
     if lost and (new is None or found.issuer == new.issuer):
-        raise KeymintError(
-            f"revokes certificates that the new list does not, e.g. serial number {hexadecimal(lost[0].serial)}",
-            where=where,
-            help="restore the register of issued certificates; or move the list away if they may be accepted again",
-            code="revocation-list-foreign",
-        )
+        message = f"revokes certificates that the new list does not, e.g. serial number {hexadecimal(lost[0].serial)}"
+        help_ = "restore the register of issued certificates; or move the list away if they may be accepted again"
+        raise KeymintError(message, where=where, help=help_, code="revocation-list-foreign")

@@ -88,13 +88,9 @@ def mismatch_finding(transports: Sequence[str], mismatches: Sequence[Mismatch]) 
     name = name_of(first.edge.subject)
     much = "more" if first.error is EdgeOutcome.FALSE_POSITIVE else "less"
     rebuild = f"keymint create {name}; keymint build -f {name}; keymint install {name}"
-    return Diagnostic.error(
-        str(first.error),
-        mismatch_text(transports, first, at_rule=True) + (also if others else ""),
-        first.policy.where or first.document,
-        f"the enclave permits {much} than the policy; rebuild it: {rebuild}",
-        first.edge.subject,
-    )
+    message = mismatch_text(transports, first, at_rule=True) + (also if others else "")
+    help_ = f"the enclave permits {much} than the policy; rebuild it: {rebuild}"
+    return Diagnostic.error(str(first.error), message, first.policy.where or first.document, help_, first.edge.subject)
 
 
 def diagnostics(comparisons: Sequence[EdgeComparison]) -> Iterator[Diagnostic]:
@@ -108,12 +104,9 @@ def diagnostics(comparisons: Sequence[EdgeComparison]) -> Iterator[Diagnostic]:
         yield mismatch_finding(transports, mismatches)
     for comparison in comparisons:
         if comparison.omitted:
-            yield Diagnostic.warning(
-                "findings-omitted",
-                f"{quantity(comparison.omitted, 'more mismatch')} on {comparison.transport} not listed",
-                None,
-                "raise --limit, or verify fewer packages at a time",
-            )
+            message = f"{quantity(comparison.omitted, 'more mismatch')} on {comparison.transport} not listed"
+            help_ = "raise --limit, or verify fewer packages at a time"
+            yield Diagnostic.warning("findings-omitted", message, None, help_)
 
 
 def _by_cause(mismatches: Sequence[Mismatch]) -> dict[tuple[object, ...], list[Mismatch]]:

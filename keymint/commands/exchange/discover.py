@@ -112,12 +112,9 @@ def _load(run: Run, source: GraphSource, path: Path, names: dict[str, str]) -> D
         return DiscoveredGraph(graph_json.load(content, str(path)))
     if source.recognises(content):
         return source.read(content, str(path), names)
-    raise KeymintError(
-        "is neither a graph nor a known capture format",
-        where=Origin(str(path)),
-        help=f"expected JSON as in docs/graph.md, or {source.CAPTURES}",
-        code="capture",
-    )
+    message = "is neither a graph nor a known capture format"
+    help_ = f"expected JSON as in docs/graph.md, or {source.CAPTURES}"
+    raise KeymintError(message, where=Origin(str(path)), help=help_, code="capture")
 
 
 def _observe(
@@ -132,10 +129,8 @@ def _observe(
     if domain is None:
         text = run.setting.environment.get("ROS_DOMAIN_ID", "").strip() or "0"
         if not text.isdecimal() or int(text) > graph_json.MAX_DOMAIN:
-            raise usage_error(
-                f"ROS_DOMAIN_ID is {text!r}, expected a domain id from 0 to {graph_json.MAX_DOMAIN}",
-                "set it, or use --domain",
-            )
+            message = f"ROS_DOMAIN_ID is {text!r}, expected a domain id from 0 to {graph_json.MAX_DOMAIN}"
+            raise usage_error(message, "set it, or use --domain")
         domain = int(text)
     start = run.setting.monotonic()
     with ended_by_signals() as ended:

@@ -59,10 +59,8 @@ def learn(
     """
     if keystore is not None:
         if graphs or policy is not None:
-            raise usage_error(
-                "--from-keystore takes neither a graph nor --policy", "learn from one of them at a time, and compare "
-                "the results: keymint diff ONE OTHER",
-            )  # fmt: skip
+            help_ = "learn from one of them at a time, and compare the results: keymint diff ONE OTHER"
+            raise usage_error("--from-keystore takes neither a graph nor --policy", help_)
         return _from_keystore(run, keystore, output, policy_options, force=force)
     if not graphs:
         raise usage_error(
@@ -166,12 +164,9 @@ def _refuse_overwriting(run: Run, output: Path, existing: LoadedPolicy) -> None:
     """Refuse to overwrite a file of the existing policy."""
     target = (run.setting.cwd / output).resolve()
     if target.exists() and target in {path.resolve() for path in existing.seen}:
-        raise KeymintError(
-            "is part of the existing policy",
-            where=Origin(str(output)),
-            help="name another file in the same directory",
-            code="learn-overwrites",
-        )
+        message = "is part of the existing policy"
+        help_ = "name another file in the same directory"
+        raise KeymintError(message, where=Origin(str(output)), help=help_, code="learn-overwrites")
 
 
 def _tell(run: Run, learned: LearnedPolicy, output: Path | None, written: list[str], *, against: bool) -> None:

@@ -32,12 +32,9 @@ def authority_export(
     session = run.session()
     files = authority_files.read_files(session, authority_named(session, name))
     if files.certificate is None or files.content is None:
-        raise KeymintError(
-            f"the authority {name!r} has no certificate",
-            where=files.certificate_file,
-            help="'keymint install' makes it",
-            code="authority-missing",
-        )
+        message = f"the authority {name!r} has no certificate"
+        help_ = "'keymint install' makes it"
+        raise KeymintError(message, where=files.certificate_file, help=help_, code="authority-missing")
     if key_file and output and (run.setting.cwd / key_file).resolve() == (run.setting.cwd / output).resolve():
         raise usage_error("the certificate and the private key would be written into one file", "name two files")
     issuers = {each.name: each.certificate.issuer for each in session.profile.authorities}

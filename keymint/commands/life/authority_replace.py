@@ -47,10 +47,8 @@ def authority_replace(
         key_file: Its private key.
     """
     if (cancel and (phase or vendors or certificate)) or (key_file and not certificate):
-        raise usage_error(
-            "these options do not go together",
-            "give --phase, --cancel, or what begins it (--vendor, --certificate, --key)",
-        )
+        message = "these options do not go together"
+        raise usage_error(message, "give --phase, --cancel, or what begins it (--vendor, --certificate, --key)")
     given = given_authority(run, certificate, key_file) if certificate else None
     request = PhaseRequest(Phase(phase) if phase else None, cancel, vendors, given)
 

@@ -116,11 +116,8 @@ def plan_authority(session: Session, step: OpenStep, *, flag_day: bool) -> Plan:
             has such an authority.
     """
     if not flag_day:
-        raise KeymintError(
-            f"this is {step.cost}",
-            help="plan a common restart of all robots and say --flag-day",
-            code="authority-flag-day",
-        )
+        help_ = "plan a common restart of all robots and say --flag-day"
+        raise KeymintError(f"this is {step.cost}", help=help_, code="authority-flag-day")
     profile, former = session.profile, step.concerns[0]
     name = session.profile_type.SIGNER
     if not name:
@@ -144,7 +141,5 @@ def plan_authority(session: Session, step: OpenStep, *, flag_day: bool) -> Plan:
 
 
 def _unsupported(session: Session, what: str) -> KeymintError:
-    return KeymintError(
-        f"{what} cannot be changed by Keymint", where=session.profile_marker(), help="change them by hand",
-        code="harden-unsupported",
-    )  # fmt: skip
+    message = f"{what} cannot be changed by Keymint"
+    return KeymintError(message, where=session.profile_marker(), help="change them by hand", code="harden-unsupported")

@@ -59,12 +59,9 @@ def accept(
     for file, each in read:
         other = first.setdefault(each.manifest.enclave, file)
         if other != file:
-            raise KeymintError(
-                f"is for {each.manifest.enclave}, as {other} is",
-                where=Origin(str(file)),
-                help="take the one with the higher issue number",
-                code="bundle-twice",
-            )
+            message = f"is for {each.manifest.enclave}, as {other} is"
+            help_ = "take the one with the higher issue number"
+            raise KeymintError(message, where=Origin(str(file)), help=help_, code="bundle-twice")
     taken = [_taken(run, keystore, file, each, owner) for file, each in read]  # what is refused creates no keystore
     if not run.dry_run:
         with opened_store(run, keystore) as store:

@@ -81,11 +81,9 @@ def _in_force(session: Session, names: Collection[str]) -> Mapping[str, MintedAu
     after = session.after(plan)
     for name in names:
         if reason := withdrawn(session).get(name):
-            raise KeymintError(
-                f"the certificate of {subject_of(name)} was revoked ({reason}), and its enclave removed",
-                help=f"'keymint renew --rekey {name}' makes a new key, or 'keymint sign' certifies one of its robot",
-                code="identity-revoked",
-            )
+            message = f"the certificate of {subject_of(name)} was revoked ({reason}), and its enclave removed"
+            help_ = f"'keymint renew --rekey {name}' makes a new key, or 'keymint sign' certifies one of its robot"
+            raise KeymintError(message, help=help_, code="identity-revoked")
         if plan.writes() or not (is_current(after, name) or would_stay(after, name, authorities)):
             raise KeymintError(
                 f"the enclave {subject_of(name)} is not installed as its sources and authorities are now",
@@ -106,12 +104,8 @@ def _second_keystore(run: Run, session: Session) -> tuple[Session, Mapping[str, 
     """
     replaced = [each.name for each in session.profile.authorities if phase_of(session, each.name) is Phase.STAGE]
     if not replaced:
-        raise KeymintError(
-            "there is no second keystore: no authority is replaced that way",
-            where=session.profile_marker(),
-            help="leave --staged out",
-            code="rollover-none",
-        )
+        message = "there is no second keystore: no authority is replaced that way"
+        raise KeymintError(message, where=session.profile_marker(), help="leave --staged out", code="rollover-none")
     require_staged(run.crew, session, replaced[0])
     return session_ahead(session, replaced[0])
 
@@ -236,22 +230,16 @@ def _bundle(
     # The robot has the key that it asks a certificate for.
     files = {file: data for file, data in contents.items() if data is not None and not (request and file == KEY)}
     if CERTIFICATE not in files:
-        raise KeymintError(
-            f"the enclave {subject_of(name)} is not installed",
-            where=session.workspace.origin(folder),
-            help=f"run 'keymint install {name}'",
-            code="not-installed",
-        )
+        message = f"the enclave {subject_of(name)} is not installed"
+        help_ = f"run 'keymint install {name}'"
+        raise KeymintError(message, where=session.workspace.origin(folder), help=help_, code="not-installed")
     issuer = authorities[package.identity.issuer].issuer
     certificate = certificates.load(files[CERTIFICATE], session.workspace.origin(folder / CERTIFICATE))
     first, last = _period(package, certificate, files)
     if last < session.now:
-        raise KeymintError(
-            f"what the enclave {subject_of(name)} has is in force until {iso_time(last)} only",
-            where=session.workspace.origin(folder),
-            help=f"'keymint check {name}' says what ended; 'keymint renew' and 'keymint crl --refresh' issue it again",
-            code="bundle-dates",
-        )
+        message = f"what the enclave {subject_of(name)} has is in force until {iso_time(last)} only"
+        help_ = f"'keymint check {name}' says what ended; 'keymint renew' and 'keymint crl --refresh' issue it again"
+        raise KeymintError(message, where=session.workspace.origin(folder), help=help_, code="bundle-dates")
     manifest = Manifest(
         enclave=package.subject,
         folder=session.layouts[0].enclaves,

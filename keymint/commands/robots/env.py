@@ -39,17 +39,11 @@ def env(
     name, known = package_name(enclave), enclave_names(session)
     where, subject = session.workspace.origin(session.enclaves), subject_of(name)
     if name not in known and name in session.packages():
-        raise KeymintError(
-            f"the enclave {subject} is not installed", where=where, help=f"run 'keymint install {name}'",
-            code="not-installed",
-        )  # fmt: skip
+        message = f"the enclave {subject} is not installed"
+        raise KeymintError(message, where=where, help=f"run 'keymint install {name}'", code="not-installed")
     if name not in known:
-        raise KeymintError(
-            f"there is no enclave {subject}",
-            where=where,
-            help=did_you_mean(subject, [subject_of(each) for each in known], "'keymint status' lists them"),
-            code="enclave-unknown",
-        )
+        help_ = did_you_mean(subject, [subject_of(each) for each in known], "'keymint status' lists them")
+        raise KeymintError(f"there is no enclave {subject}", where=where, help=help_, code="enclave-unknown")
     values = enclave_environment(session, name)
     run.console.document(exports(values, shell).encode(errors="surrogateescape"))
     result = {"enclave": subject, "variables": dict(values)}

@@ -78,12 +78,9 @@ def request(
             store.commit(store.stage([there.wait(name, content, new_key)]))
             there = keystore_of(run, folder)
         elif rekey and not uri and (waiting := there.pending(name)) is not None and not waiting.key:
-            raise KeymintError(
-                f"a request of {subject_of(name)} for the key that it has waits for its answer",
-                where=Origin(keystore.shown),
-                help="carry it to the authority, or say --discard as well",
-                code="request-waits",
-            )
+            message = f"a request of {subject_of(name)} for the key that it has waits for its answer"
+            help_ = "carry it to the authority, or say --discard as well"
+            raise KeymintError(message, where=Origin(keystore.shown), help=help_, code="request-waits")
     asked = requests.read(content, Origin(keystore.shown))
     target = output or Path(f"{name.replace('/', '.')}.request.pem")
     delivered = deliver(run, target, content)

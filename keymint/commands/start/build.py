@@ -74,12 +74,8 @@ def build(
 
 def no_packages(session: Session) -> Diagnostic:
     """Return the warning that the source space has no packages."""
-    return Diagnostic.warning(
-        "packages-none",
-        f"no packages in {session.workspace.shown(session.workspace.src)}",
-        None,
-        "run 'keymint create --all'",
-    )
+    message = f"no packages in {session.workspace.shown(session.workspace.src)}"
+    return Diagnostic.warning("packages-none", message, None, "run 'keymint create --all'")
 
 
 def unknown_hints(hints: Sequence[Hint], file: Path | None, names: Iterable[str]) -> tuple[Diagnostic, ...]:

@@ -100,12 +100,8 @@ def bootstrap_request(run: Run, workspace: Workspace, policy: Path | None, profi
     """
     path = run.setting.cwd / policy if policy else None
     if path is not None and not path.exists():
-        raise KeymintError(
-            "no such file or folder",
-            where=Origin(str(policy)),
-            help="name a ComArmor policy",
-            code="policy-missing",
-        )
+        message = "no such file or folder"
+        raise KeymintError(message, where=Origin(str(policy)), help="name a ComArmor policy", code="policy-missing")
     environment = run.setting.environment
     return Bootstrap(
         name=workspace.root.name or "workspace",

@@ -96,12 +96,9 @@ def fmt(
 
 
 def _finding(file: _Formatted) -> Diagnostic:
-    return Diagnostic.warning(
-        "format",
-        "the file is not in canonical form",
-        Origin(file.name, first_difference(file.before, file.after)),
-        "keymint fmt -" if file.path == _STANDARD else f"keymint fmt {file.name}",
-    )
+    message = "the file is not in canonical form"
+    help_ = "keymint fmt -" if file.path == _STANDARD else f"keymint fmt {file.name}"
+    return Diagnostic.warning("format", message, Origin(file.name, first_difference(file.before, file.after)), help_)
 
 
 def _formatted(run: Run, paths: Iterable[Path]) -> tuple[list[_Formatted], list[Diagnostic]]:

@@ -127,10 +127,8 @@ def graph(
     system, diagnostics = _graph(run, source, source_type) if source else (None, ())
     if system is None:
         if policy is not None:
-            raise usage_error(
-                f"{source or 'the policy of the workspace'} is a policy; --policy labels only graphs",
-                "leave out --policy",
-            )
+            message = f"{source or 'the policy of the workspace'} is a policy; --policy labels only graphs"
+            raise usage_error(message, "leave out --policy")
         if source:
             drawn = policy_at(source)
         else:

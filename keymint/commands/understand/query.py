@@ -146,10 +146,8 @@ def query(
     path, question = _read(words, run.setting.cwd, kind or "", partition)
     about_flows = question.head in ("flows", "isolated")
     if (but or infrastructure) and not about_flows:
-        raise usage_error(
-            f"'{question.head}' takes no {'--except' if but else '--infrastructure'}",
-            "use it with 'flows' or 'isolated'",
-        )
+        message = f"'{question.head}' takes no {'--except' if but else '--infrastructure'}"
+        raise usage_error(message, "use it with 'flows' or 'isolated'")
     for expression in but:
         legal_expression(expression)
     policies = Policies(run, policy_options)
