@@ -11,11 +11,19 @@ import pytest
 
 from tests import pages
 from tests.pages import CHECKOUT, STAND_INS, Reader, changed, is_shown, masked, steps_of
+from tests.softhsm import SoftHsm
 
 DOCS = CHECKOUT / "docs"
 WRITTEN_TO_BE_FOLLOWED = sorted([*(DOCS / "tutorials").glob("*.md"), *(DOCS / "how-to").glob("*.md")])
 """Pages on which each command is one that runs, or is marked with what it needs."""
-FOLLOWED = [CHECKOUT / "README.md", DOCS / "keystore-life.md", DOCS / "sros2.md", *WRITTEN_TO_BE_FOLLOWED]
+NEEDS_TOKEN = DOCS / "how-to" / "hsm.md"
+FOLLOWED = [
+    CHECKOUT / "README.md",
+    DOCS / "keystore-life.md",
+    DOCS / "sros2.md",
+    DOCS / "explanation" / "proof.md",
+    *(page for page in WRITTEN_TO_BE_FOLLOWED if page != NEEDS_TOKEN),
+]
 
 
 def name_of(page: Path) -> str:
@@ -24,14 +32,26 @@ def name_of(page: Path) -> str:
 
 @pytest.mark.parametrize("page", FOLLOWED, ids=name_of)
 def test_a_page_shows_what_its_reader_sees(page: Path, tmp_path: Path) -> None:
-    with Reader(tmp_path, STAND_INS) as reader:
+    follow_and_compare(page, tmp_path)
+
+
+@pytest.mark.softhsm
+def test_the_page_about_tokens_shows_what_its_reader_sees(softhsm: SoftHsm, tmp_path: Path) -> None:
+    """The reader makes a token of their own; the fixture is there where the software for it is."""
+    assert softhsm.label
+    follow_and_compare(NEEDS_TOKEN, tmp_path)
+
+
+def follow_and_compare(page: Path, tmp_path: Path) -> None:
+    (tmp_path / "reader").mkdir()
+    with Reader(tmp_path / "reader", STAND_INS) as reader:
         printed = list(reader.follow(page))
     for step, output in printed:
         assert is_shown(output, step.content), (
             f"{name_of(page)}:{step.line}: $ {step.what}\n{output}\n"
             f"if this is right: .venv/bin/python -m tests.pages {name_of(page)}"
         )
-    for picture, drawn in pages.drawings(page, tmp_path):
+    for picture, drawn in pages.drawings(page, tmp_path / "reader"):
         assert masked(drawn.read_text()) == masked(picture.read_text()), f"{picture.name} is not what the page draws"
     assert printed
 

@@ -33,7 +33,7 @@ _ISSUE = "issue it again with the tool that made it, here and on the robots"
 _REMOVE = "take it out of the keystore; a new one for this name: 'keymint create', build and install afterwards"
 _VIEW: Mapping[str, tuple[str, str]] = {
     "file-missing": ("adopt-file-missing", "restore it, or remove the enclave's folder if nothing uses it"),
-    "file-replaced": ("adopt-token", "write <pkcs11> into identities.xml afterwards; docs/keystore-life.md"),
+    "file-replaced": ("adopt-token", "write <pkcs11> into identities.xml afterwards; docs/how-to/hsm.md"),
     "authority-differs": (
         "adopt-authorities",
         "a workspace has one authority for each role: adopt these enclaves as a keystore of their own",
