@@ -8,7 +8,11 @@ from __future__ import annotations
 
 import copy
 import inspect
-from collections.abc import Iterable, Iterator, Mapping
+import itertools
+import re
+import tomllib
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,26 +29,13 @@ FOLDER = CHECKOUT / "docs" / "reference" / "generated"
 SCHEMAS = CHECKOUT / "schemas"
 XS = "{http://www.w3.org/2001/XMLSchema}"
 
-PROFILE, PACKAGE, DEFAULTS = "profile/", "src/NAME/", "profile/package.defaults/"
-FILES: Mapping[str, str] = {
-    PROFILE + "keymint_profile.xml": "keymint_ros/keymint_profile",
-    PROFILE + "policies.xml": "keymint_ros/policies",
-    PROFILE + "authorities.xml": "keymint_ros/authorities",
-    PROFILE + "profile.defaults/authorities.xml": "keymint_ros/defaults_authorities",
-    PROFILE + "authority_issuance.xml": "keymint_ros/authority_issuance",
-    PROFILE + "packages.lock.xml": "keymint_ros/packages_lock",
-    DEFAULTS + "identities.xml": "keymint_ros/defaults_identities",
-    DEFAULTS + "permissions.xml": "keymint_ros/defaults_permissions",
-    DEFAULTS + "governance.xml": "keymint_ros2_dds/source_governance_defaults",
-    DEFAULTS + "zenoh.xml": "keymint_ros2_zenoh/source_zenoh",
-    PACKAGE + "keymint_package.xml": "keymint_ros/keymint_package",
-    PACKAGE + "identities.xml": "keymint_ros/identities",
-    PACKAGE + "permissions.xml": "keymint_ros/permissions",
-    PACKAGE + "governance.xml": "keymint_ros2_dds/source_governance",
-    PACKAGE + "zenoh.xml": "keymint_ros2_zenoh/source_zenoh",
-    PACKAGE + "issuance.xml": "keymint_ros/issuance",
-}
-"""The schema of each XML file of a workspace, by where the file lies."""
+EXAMPLE = FOLDER / "example"
+"""The policy of the examples and its workspace, which has each kind of file; ``.ci/docs`` makes it."""
+NAMES = {"NAME": "robot1/camera", "AUTHORITY": "identity_ca", "PACKAGE": "demo_sensors"}
+"""What stands for the names in the paths of :func:`folders` in that workspace."""
+ASPECTS = {"writer": "Written by", "edit": "May you edit it?", "secret": "Secret?", "delete": "May you delete it?"}
+File = Mapping[str, str]
+"""What ``docs/reference/files.toml`` says of a file."""
 
 
 def setup(app: Sphinx) -> Mapping[str, bool]:
@@ -55,17 +46,15 @@ def setup(app: Sphinx) -> Mapping[str, bool]:
 
 def write() -> None:
     """Write all pages, with an index of each kind."""
-    kinds = (
-        ("verbs", "Verbs", {name.replace(" ", "-"): verb_page(name, command) for name, command in verbs()}),
-        ("files", "Files of a workspace", {page_of(place): file_page(place) for place in FILES}),
-    )
-    for folder, title, pages in kinds:
-        (FOLDER / folder).mkdir(parents=True, exist_ok=True)
-        for name, text in pages.items():
-            (FOLDER / folder / f"{name}.md").write_text(text)
-        listed = "\n".join(pages)
-        index = f"# {title}\n\n```{{toctree}}\n:maxdepth: 1\n\n{listed}\n```\n"
-        (FOLDER / folder / "index.md").write_text(index)
+    files = {page_of(each): file_page(each) for each in documents()}
+    pages = {name.replace(" ", "-"): verb_page(name, command) for name, command in verbs()}
+    for folder_name, index, texts in (("verbs", "# Verbs\n", pages), ("files", files_page(), files)):
+        (FOLDER / folder_name).mkdir(parents=True, exist_ok=True)
+        for name, text in texts.items():
+            (FOLDER / folder_name / f"{name}.md").write_text(text)
+        hidden = "" if index.count("\n") == 1 else ":hidden:\n"
+        contents = f"```{{toctree}}\n:maxdepth: 1\n{hidden}\n" + "\n".join(texts) + "\n```\n"
+        (FOLDER / folder_name / "index.md").write_text(f"{index}\n{contents}")
     (FOLDER / "codes.md").write_text(codes_page())
 
 
@@ -73,13 +62,27 @@ def write() -> None:
 
 
 def codes_page() -> str:
-    """Return the page of the codes of errors and findings, with the texts of ``keymint explain``."""
+    """Return the page of the codes of errors and findings, with the texts of ``keymint explain``, after an index.
+
+    All codes are on one page, so that the address of a code needs no more than the code.
+    """
+    known = explanations()
+    groups = Counter(name.partition("-")[0] for name in known)
+    index: dict[str, list[str]] = {}
+    for name in known:
+        first = name.partition("-")[0]
+        index.setdefault(first if groups[first] >= _GROUP else _OTHERS, []).append(f"[{name}](#{name})")
     lines = ["# Codes", "", "Each message ends with its code; `keymint explain CODE` prints the same.", ""]
-    for name, texts in explanations().items():
-        lines += [f"## {name}", ""]
+    for group, links in sorted(index.items(), key=lambda each: (each[0] == _OTHERS, each)):
+        lines += [f"* **{group}**: {', '.join(links)}"]
+    for name, texts in known.items():
+        lines += ["", f"## {name}", ""]
         lines += [f"* **{part}**: {escaped(' '.join(texts[part].split()))}" for part in PARTS]
-        lines.append("")
-    return "\n".join(lines)
+    return "\n".join([*lines, ""])
+
+
+_GROUP, _OTHERS = 5, "others"
+"""The fewest codes with one first word that the index of codes lists by themselves, and the name of all others."""
 
 
 # -- verbs -------------------------------------------------------------------------------------------------------------
@@ -150,27 +153,74 @@ def escaped(text: str) -> str:
 # -- files of a workspace ----------------------------------------------------------------------------------------------
 
 
-def page_of(place: str) -> str:
+def folders() -> Sequence[Mapping[str, Any]]:
+    """Return what is known of every file of a workspace or a keystore, by folder."""
+    found: Sequence[Mapping[str, Any]] = tomllib.loads((FOLDER.parent / "files.toml").read_text())["folder"]
+    return found
+
+
+def documents() -> Iterator[File]:
+    """Yield the files that have a schema, and so a page."""
+    return (each for folder in folders() for each in folder["file"] if "schema" in each)
+
+
+def page_of(file: File) -> str:
     """Return the name of the page of a file."""
-    return place.removeprefix(PROFILE).replace("/", "-")
+    return file["path"].removeprefix("profile/").replace("/", "-")
 
 
-def file_page(place: str) -> str:
-    """Return the page of a file: what it is for, and each element with its type and meaning.
+def files_page() -> str:
+    """Return the page with every file of a workspace: what it is for, who writes it, and what you may do with it."""
+    lines = ["# Files of a workspace", "", "Also those of a keystore and of the keystore of a robot.", ""]
+    titles = " | ".join(("File", "What it is", *ASPECTS.values()))
+    for folder in folders():
+        lines += [f"## {folder['title']}", "", folder["text"], "", f"| {titles} |", "|---" * 6 + "|"]
+        for each in folder["file"]:
+            name = f"[`{each['path']}`]({page_of(each)}.md)" if "schema" in each else code(each["path"])
+            lines.append(f"| {name} | {each['about']} | {' | '.join(each[aspect] for aspect in ASPECTS)} |")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def file_page(file: File) -> str:
+    """Return the page of a file: what it is for, who writes it, an example, and the meaning of each element.
 
     Args:
-        place: where the file lies in a workspace.
+        file: what is known of it.
     """
-    path = SCHEMAS / f"{FILES[place]}.xsd"
-    document = Schema(path)
-    about = document.about.partition(":")[2].strip() or document.about
-    lines = [f"# {place}", "", escaped(about[:1].upper() + about[1:]), ""]
-    for each, occurs, value, meaning in document.rows():
+    path = SCHEMAS / f"{file['schema']}.xsd"
+    example = example_of(file)
+    defaults = values(EXAMPLE / "robot_ws" / file["defaults"]) if "defaults" in file else {}
+    facts_of_file = "\n".join(f"* **{title}** {file[each]}." for each, title in ASPECTS.items())
+    lines = [f"# {file['path']}", "", file["about"], "", facts_of_file, ""]
+    lines += ["## Example", "", "```xml", example, "```", "", "## Elements", ""]
+    for each, occurs, value, meaning in Schema(path).rows():
         depth, name = each.count("/"), each.rpartition("/")[2]
+        usual = next((text for end, text in defaults.items() if each.endswith(f"/{end}")), None)
         facts = ", ".join(filter(None, (occurs, "" if value == "elements" else value)))
-        lines.append(f"{'  ' * depth}* {code(name)}: {facts}{f'. {escaped(meaning)}' if meaning else ''}")
+        default = "" if usual is None else f" Default: {code(usual) if usual else 'empty'}."
+        lines.append(f"{'  ' * depth}* {code(name)}: {facts}. {escaped(meaning)}{default}")
+    if defaults:
+        lines += ["", f"Defaults are those of `{file['defaults']}` in a new workspace."]
     link = f"../../../../{path.relative_to(CHECKOUT)}"
-    return "\n".join([*lines, "", f"The schema that Keymint checks it with: [`{FILES[place]}.xsd`]({link}).", ""])
+    return "\n".join([*lines, "", f"The schema that Keymint checks it with: [`{file['schema']}.xsd`]({link}).", ""])
+
+
+def example_of(file: File) -> str:
+    """Return the example of a file, with the first line alone of what is encoded in a certificate."""
+    path = file["path"]
+    for name, value in NAMES.items():
+        path = path.replace(name, value)
+    text = (EXAMPLE / file.get("example", f"robot_ws/{path}")).read_text().replace(f"{EXAMPLE}/", "/home/me/")
+    return re.sub(r"(?<=-----\n)(.{64}\n)[^-]*", r"\1…\n", text).rstrip()
+
+
+def values(path: Path) -> Mapping[str, str]:
+    """Return the text of each element without children by its path below the root; dates are those of the example."""
+    tree = etree.parse(path)
+    leaves = (each for each in tree.iter(etree.Element) if not len(each))
+    found = {tree.getelementpath(each): (each.text or "").strip() for each in leaves}
+    return {place: text for place, text in found.items() if not place.startswith("validity")}
 
 
 class Schema:
@@ -182,27 +232,39 @@ class Schema:
 
     def __init__(self, path: Path) -> None:
         root = etree.parse(path).getroot()
-        before = [root] if root.getprevious() is None else [*root.itersiblings(tag=etree.Comment, preceding=True)]
-        self.about = " ".join(str(before[0].text).split()) if before and before[0] is not root else ""
         self.roots = [root, *(etree.parse(each).getroot() for each in _included(path, set()))]
         self.types = {each.get("name"): each for top in self.roots for each in top if each.tag in _TYPES}
-        self.elements = {each.get("name"): each for each in root if each.tag == f"{XS}element"}
+        self.elements = {each.get("name"): each for top in self.roots for each in top if each.tag == f"{XS}element"}
+        self.texts: dict[tuple[str, str], str] = {}
+        for each in itertools.chain.from_iterable(top.iter(f"{XS}element", f"{XS}attribute") for top in self.roots):
+            if text := _documentation(each):
+                self.texts.setdefault((each.tag, each.get("name")), text)
 
     def rows(self) -> Iterator[tuple[str, str, str, str]]:
-        """Yield the path of each element and attribute, how often it occurs, its values, and its meaning."""
+        """Yield the path of each element and attribute once, how often it occurs, its values, and its meaning.
+
+        An element or attribute without a text means what the first one of its name does, or else its type.
+        """
+        found: dict[str, tuple[str, str, str, str]] = {}
         for element in self.elements.values():
-            yield from self._element(element, "", ())
+            for row in self._element(element, "", ()) if element.getparent() is self.roots[0] else ():
+                if row[0] not in found or row[1] == "optional":  # it may be left out in one order of a choice
+                    found[row[0]] = row
+        yield from found.values()
 
     def _element(self, element: Any, above: str, seen: tuple[str, ...]) -> Iterator[tuple[str, str, str, str]]:
         name = element.get("name") or element.get("ref")
         path = f"{above}/{name}" if above else name
-        kind = element.get("type", "")
-        definition = self.types.get(kind, element)
-        meaning = _comment(element) or ("" if kind in {"", "Text"} else _comment(definition))
-        yield path, _occurs(element), self._value(kind, definition), meaning
-        if kind in seen or element.get("ref"):
-            return
-        yield from self._content(definition, path, (*seen, kind) if kind else seen)
+        declared = self.elements[name.removeprefix("xi:")] if element.get("ref") else element
+        kind = declared.get("type", "")
+        definition = self.types.get(kind, declared)
+        yield path, _occurs(element), self._value(kind, definition), self._meaning(declared, kind)
+        if kind not in seen and (declared is element or name.startswith("xi:")):
+            yield from self._content(definition, path, (*seen, kind) if kind else seen)
+
+    def _meaning(self, declared: Any, kind: str) -> str:
+        own = _documentation(declared) or self.texts.get((declared.tag, declared.get("name")), "")
+        return own or (_documentation(self.types[kind]) if kind in self.types else "")
 
     def _content(self, parent: Any, path: str, seen: tuple[str, ...]) -> Iterator[tuple[str, str, str, str]]:
         for child in parent:
@@ -210,10 +272,10 @@ class Schema:
                 required = "once" if child.get("use") == "required" else "optional"
                 kind = child.get("type", "")
                 value = self._value(kind, self.types.get(kind, child))
-                yield f"{path}/@{child.get('name')}", required, value, _comment(child)
+                yield f"{path}/@{child.get('name')}", required, value, self._meaning(child, kind)
             elif child.tag == f"{XS}element":
                 yield from self._element(child, path, seen)
-            elif isinstance(child.tag, str) and child.tag != f"{XS}simpleType":
+            elif isinstance(child.tag, str) and child.tag not in {f"{XS}simpleType", f"{XS}annotation"}:
                 base = self.types.get(child.get("base") or child.get("ref"))
                 if base is not None:
                     yield from self._content(base, path, seen)
@@ -241,11 +303,11 @@ class Schema:
         return text
 
 
-_TYPES = {f"{XS}complexType", f"{XS}simpleType", f"{XS}group"}
+_TYPES = {f"{XS}{kind}" for kind in ("complexType", "simpleType", "group", "attributeGroup")}
 
 
 def _included(path: Path, seen: set[Path]) -> Iterator[Path]:
-    for each in etree.parse(path).getroot().iter(f"{XS}include"):
+    for each in etree.parse(path).getroot().iter(f"{XS}include", f"{XS}import"):
         found = (path.parent / str(each.get("schemaLocation"))).resolve()
         if found not in seen:
             seen.add(found)
@@ -253,13 +315,8 @@ def _included(path: Path, seen: set[Path]) -> Iterator[Path]:
             yield from _included(found, seen)
 
 
-def _comment(element: Any) -> str:
-    """Return the comment before a declaration, or its annotation."""
-    documentation = element.find(f"{XS}annotation/{XS}documentation")
-    if documentation is not None:
-        return " ".join("".join(documentation.itertext()).split())
-    before = element.getprevious()
-    return " ".join(str(before.text).split()) if before is not None and before.tag is etree.Comment else ""
+def _documentation(element: Any) -> str:
+    return " ".join((element.findtext(f"{XS}annotation/{XS}documentation") or "").split())
 
 
 def _occurs(element: Any) -> str:

@@ -3,19 +3,26 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
+import runpy
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import click
 import pytest
 
+from comarmor.errors import Origin
 from keymint.cli import VERBS, cli
+from keymint.robots.bundle import unpack
+from tests.conftest import CHECKOUT, Outcome
 
-CHECKOUT = Path(__file__).resolve().parents[1]
+TALKER = CHECKOUT / "examples" / "talker_listener" / "talker_listener.xml"
 SOURCES = (
     "docs", "examples", "benchmarks", "schemas", "keymint", "comarmor", "plugins", "templates", "CHANGELOG.md",
     "CONTRIBUTING.md", "README.md", "SECURITY.md", "Dockerfile", ".ci", "integrations", "action.yml",
@@ -45,6 +52,16 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return copy / "site" / "docs"
 
 
+@pytest.fixture(scope="module")
+def generated() -> SimpleNamespace:
+    """What makes the pages of the reference."""
+    return SimpleNamespace(**runpy.run_path(str(CHECKOUT / "docs" / "generated.py")))
+
+
+def files_below(folder: Path) -> set[str]:
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+
+
 def text_of(page: Path) -> str:
     return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", "", page.read_text()))
 
@@ -59,18 +76,72 @@ def test_each_verb_has_a_page_with_its_options(verb: str, site: Path) -> None:
     assert [name for each in shown for name in each.opts if name not in page] == []
 
 
-def test_each_file_of_a_workspace_has_a_page(site: Path) -> None:
+def test_each_file_of_a_workspace_that_has_a_schema_has_a_page(site: Path) -> None:
     """What has no page are the signed documents of DDS, a policy of SROS2, and parts of the other schemas."""
     folder = site / "reference" / "generated" / "files"
-    listed = {
-        match for page in folder.glob("*.html") for match in re.findall(r"keymint_\w+/\w+\.xsd", page.read_text())
-    }
-    schemas = {f"{path.parent.name}/{path.name}" for path in (CHECKOUT / "schemas").glob("keymint_ros*/*.xsd")}
+    listed = {match for page in folder.glob("*.html") for match in re.findall(r"\w+/\w+\.xsd", page.read_text())}
+    schemas = {f"{path.parent.name}/{path.name}" for path in (CHECKOUT / "schemas").glob("*/*.xsd")}
     assert schemas - listed == {
-        "keymint_ros/common.xsd", "keymint_ros2_dds/governance.xsd", "keymint_ros2_dds/permissions.xsd",
-        "keymint_ros2_dds/source_types.xsd", "keymint_ros2_sros2/policy.xsd", "keymint_ros2_sros2/xml.xsd",
+        "comarmor/xinclude.xsd", "keymint_ros/common.xsd", "keymint_ros2_dds/governance.xsd",
+        "keymint_ros2_dds/permissions.xsd", "keymint_ros2_dds/source_types.xsd", "keymint_ros2_sros2/policy.xsd",
+        "keymint_ros2_sros2/xml.xsd",
     }  # fmt: skip
-    assert "issuer_name" in text_of(folder / "authorities.xml.html")
+    page = text_of(folder / "src-NAME-identities.xml.html")
+    assert "hash_algorithm: optional, SHA256, SHA384, SHA512. Hash of the signature." in page
+    assert "Default: SHA256." in page
+    assert "&lt;identity/&gt;" in page  # of the example
+
+
+def test_each_element_and_attribute_of_each_file_has_a_text(generated: SimpleNamespace) -> None:
+    for each in generated.documents():
+        rows = [*generated.Schema(CHECKOUT / "schemas" / f"{each['schema']}.xsd").rows()]
+        assert rows
+        assert [path for path, _, _, meaning in rows if not meaning.endswith(".")] == [], each["path"]
+
+
+def test_an_element_without_a_text_is_found(generated: SimpleNamespace, tmp_path: Path) -> None:
+    content = (CHECKOUT / "schemas" / "keymint_ros2_zenoh" / "source_zenoh.xsd").read_text()
+    (tmp_path / "schema.xsd").write_text(content.replace("TCP port of the router.", ""))
+    rows = generated.Schema(tmp_path / "schema.xsd").rows()
+    assert [path for path, _, _, meaning in rows if meaning.startswith("TCP") or not meaning] == ["zenoh/router/port"]
+
+
+PLACES = {"NAME": r"\w[\w./-]*", "AUTHORITY": r"[\w.]+", "PACKAGE": r"\w+", "VERB": r"\w+", "SHELL": r"\w+", "…": ".+"}
+
+
+@pytest.fixture
+def known_file(generated: SimpleNamespace) -> re.Pattern[str]:
+    """What matches each path that the table of files has."""
+    pattern = "|".join(re.escape(each["path"]) for folder in generated.folders() for each in folder["file"])
+    for name, any_name in PLACES.items():
+        pattern = pattern.replace(name, any_name)
+    return re.compile(pattern)
+
+
+def test_each_file_of_a_workspace_has_a_row(site: Path, known_file: re.Pattern[str]) -> None:
+    found = files_below(site.parents[1] / "docs" / "reference" / "generated" / "example" / "robot_ws")
+    assert {"install.next/zenoh/router.json5", "private/identity_ca.next.key.pem", ".keymint/state.json"} <= found
+    page = text_of(site / "reference" / "generated" / "files" / "index.html")
+    assert "profile/packages.lock.d/PACKAGE/…" in page
+    assert [each for each in found if not known_file.fullmatch(each.replace("install.next/", "install/"))] == []
+
+
+def test_each_file_of_the_keystore_of_a_robot_has_a_row(
+    keymint: Callable[..., Outcome], tmp_path: Path, known_file: re.Pattern[str]
+) -> None:
+    assert keymint("provision", TALKER, "-w", "ws").code == 0
+    asked = keymint("request", "/talker", "--folder", "KEYSTORE", "--json").document["result"]
+    waiting = files_below(tmp_path / "KEYSTORE")
+    name_and_key = f"/talker={asked['fingerprint']}"
+    assert keymint("sign", asked["file"], "--fingerprint", name_and_key, "-w", "ws").code == 0
+    manifest = json.loads(unpack((tmp_path / "talker.bundle").read_bytes(), Origin("talker.bundle"))["manifest.json"])
+    trusted = ("--authority-fingerprint", manifest["authority"])
+    assert keymint("accept", "talker.bundle", "--folder", "KEYSTORE", *trusted).code == 0
+    found = {f"KEYSTORE/{each}" for each in waiting | files_below(tmp_path / "KEYSTORE")}
+    assert {"KEYSTORE/.keymint/requests/talker/key.pem", "KEYSTORE/enclaves/talker/bundle.json"} <= found
+    found = {each.replace("KEYSTORE/enclaves", "install/enclaves") if "bundle" not in each else each for each in found}
+    found |= {path.name for path in tmp_path.iterdir() if path.is_file()}
+    assert [each for each in found if not known_file.fullmatch(each)] == []
 
 
 def test_each_code_has_its_place_with_cause_effect_and_remedy(site: Path) -> None:
