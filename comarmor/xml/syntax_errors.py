@@ -41,7 +41,7 @@ def syntax_error(
         found = next((each["looks_like"] for each in known["beginning"] if re.match(each["pattern"], head)), "")
         other = "it does not begin with '<'" if content.strip(_BLANK) else "it is empty"
         message = f"it looks like {found}" if found else other
-        help_ = "name an XML file; a policy begins with <profiles>"
+        help_ = "name an XML file, or restore this one; a policy begins with <profiles>"
         return ComArmorError(f"the file is not XML: {message}", where=where, help=help_, code="xml-syntax")
     help_ = known["remedies"].get(name, "")
     if opened and name in (expat.errors.XML_ERROR_TAG_MISMATCH, expat.errors.XML_ERROR_NO_ELEMENTS):

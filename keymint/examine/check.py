@@ -240,6 +240,8 @@ def check(session: Session, names: Sequence[str], within: timedelta, pool: Pool)
     findings += shared_keys(session, fingerprints)
     findings += (*elsewhere(session), *encryption(session), *exposed_keys(session))
     findings += outside
+    told = {(each.code, each.where) for each in of_authorities}  # e.g. that an authority has no certificate
+    findings = [each for each in findings if (each.code, each.where) not in told]
     if defect := next((each for each in of_authorities if each.code in DECIDED_BY_A_PERSON), None):
         help_ = f"fix {defect.where} first"  # until then installing fails
         findings = [replace(each, help=help_) if _INSTALLS.search(each.help) else each for each in findings]

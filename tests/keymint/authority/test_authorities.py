@@ -86,6 +86,18 @@ def test_another_name_or_kind_of_key_is_a_new_authority(keymint, ws: Path, old: 
     assert keymint("check", cwd=ws).code == 0
 
 
+def test_a_lost_certificate_is_one_finding_whose_remedy_restores_it(keymint, ws: Path) -> None:
+    before = (ws / CERTIFICATES[0]).read_bytes()
+    (ws / CERTIFICATES[0]).unlink()
+    outcome = keymint("check", cwd=ws)
+    assert outcome.code == 3
+    (line,) = outcome.err.splitlines()
+    assert "'keymint install' restores it" in line
+    assert keymint("install", cwd=ws).code == 0
+    assert (ws / CERTIFICATES[0]).read_bytes() == before
+    assert keymint("check", cwd=ws).code == 0
+
+
 def test_an_offline_authority_that_lost_its_certificate_is_not_made_again(keymint, ws: Path) -> None:
     for path in (CERTIFICATES[0], AUTHORITY_KEYS[0]):
         (ws / path).unlink()
