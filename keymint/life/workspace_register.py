@@ -188,7 +188,7 @@ def _restored(session: Session, *, lossy: bool) -> Register:
             register = register.with_revoked([known], each.reason, each.at)
     unknown = [each for each in register.certificates.values() if not each.name]
     if (lost or unknown) and not lossy:
-        who = f"/{lost[0]} was revoked" if lost else f"{len(unknown)} certificates were revoked"
+        who = f"/{lost[0]} was revoked" if lost else f"{len(unknown)} certificate{'s were' if len(unknown) > 1 else ' was'} revoked"
         raise KeymintError(
             f"the register of issued certificates is missing, and {who}: its keys and certificates cannot be told",
             where=session.workspace.origin(session.workspace.register),
