@@ -11,6 +11,7 @@ from functools import lru_cache
 from cryptography import x509
 
 from comarmor.errors import Origin
+from comarmor.text import quantity
 from keymint.api import BuildType, Package
 from keymint.authority import authority_files
 from keymint.errors import KeymintError
@@ -188,9 +189,9 @@ def _restored(session: Session, *, lossy: bool) -> Register:
             register = register.with_revoked([known], each.reason, each.at)
     unknown = [each for each in register.certificates.values() if not each.name]
     if (lost or unknown) and not lossy:
-        who = f"/{lost[0]} was revoked" if lost else f"{len(unknown)} certificate{'s were' if len(unknown) > 1 else ' was'} revoked"
+        who = f"/{lost[0]}" if lost else quantity(len(unknown), "certificate")
         raise KeymintError(
-            f"the register of issued certificates is missing, and {who}: its keys and certificates cannot be told",
+            f"the register of issued certificates is missing, and {who} had been revoked: which keys is not known",
             where=session.workspace.origin(session.workspace.register),
             help="restore it from a backup; or 'keymint crl --rebuild' makes it again: what the revocation lists here "
             "have stays revoked, and packages that were revoked and have no enclave need 'keymint renew --rekey'; "

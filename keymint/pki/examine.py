@@ -164,7 +164,7 @@ def anchor_defects(anchors: Iterable[TrustAnchor]) -> Iterator[Diagnostic]:
     for anchor in dict.fromkeys(anchors):
         if not anchor.chain:
             message = f"the certificate of the authority {anchor.name!r} is missing, so nothing can be compared with it"
-            help_ = "'keymint install' restores it if its private key is here, else restore it from a backup of the workspace"
+            help_ = "'keymint install' restores it if its key is here, else restore it from a backup of the workspace"
             yield Diagnostic.error("authority-missing", message, Origin(anchor.file), help_)
             continue
         try:

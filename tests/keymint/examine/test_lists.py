@@ -64,7 +64,7 @@ def test_a_list_of_the_owner_is_not_overwritten(provisioned: Path, keymint, tmp_
     before = (provisioned / LISTENER).read_bytes()
     outcome = keymint("revoke", "robot1/listener", "--reason", "superseded", cwd=provisioned)
     assert (outcome.code, "[register-lost]" in outcome.err) == (1, True)
-    assert "and 1 certificate was revoked" in outcome.err
+    assert "and 1 certificate had been revoked" in outcome.err
     assert (provisioned / LISTENER).read_bytes() == before
 
 

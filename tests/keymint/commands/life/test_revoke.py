@@ -207,7 +207,7 @@ def test_a_lost_register_with_revocations_is_the_owners_decision(provisioned: Pa
     for verb in (("issued",), ("revoke", "robot1/listener", "--reason", "superseded")):
         lost = keymint(*verb, cwd=provisioned)
         assert lost.code == 1
-        assert "the register of issued certificates is missing, and /talker was revoked" in lost.err
+        assert "the register of issued certificates is missing, and /talker had been revoked" in lost.err
     assert (
         hexadecimal(before[0].serial_number) in keymint("crl", cwd=provisioned).out
     )  # to look at a list takes no register
