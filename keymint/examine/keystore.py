@@ -200,6 +200,7 @@ SHOWN_NOTES = frozenset(
 """Codes of notes that are shown in any case: an owner must know of them."""
 _REGISTER = "which certificates were issued and revoked is not known"
 _KEYS = "no private key here is compared with its certificate"
+_ENCLAVES = "private keys of enclaves are not compared with their certificates"
 UNKNOWN_HISTORY = "nothing wider was signed before the register began to keep signed documents"
 
 
@@ -295,10 +296,16 @@ def staged_keystore_session(session: Session) -> Session | None:
 
 
 def not_examined(inputs: Inputs) -> Iterator[Diagnostic]:
-    """Yield a note for each entry of the private space that was left out, or has something in it that was."""
-    private, register = inputs.workspace.private, inputs.workspace.register
-    reasons = {str(private): f"{_KEYS}, and {_REGISTER}", str(register): _REGISTER}
-    left_out = dict.fromkeys("/".join(each.split("/")[: len(private.parts) + 1]) for each in inputs.tree.left_out)
+    """Yield a note for each entry of the private space that was left out, or has something in it that was.
+
+    For all keys of enclaves that were left out there is one.
+    """
+    private, register, install = inputs.workspace.private, inputs.workspace.register, str(inputs.workspace.install)
+    reasons = {str(private): f"{_KEYS}, and {_REGISTER}", str(register): _REGISTER, install: _ENCLAVES}
+    left_out = dict.fromkeys(
+        install if each.startswith(f"{install}/") else "/".join(each.split("/")[: len(private.parts) + 1])
+        for each in inputs.tree.left_out
+    )
     left_out.pop(str(inputs.workspace.log), None)
     for path in left_out:
         message, where = f"not examined: {reasons.get(path, _KEYS)}", inputs.workspace.origin(path)

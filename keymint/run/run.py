@@ -32,6 +32,7 @@ from keymint.view.recorded_answers import Answer, Call, Sight, is_recordable, kn
 from keymint.view.stamps import MAX_RECORD, State
 from keymint.view.stamps import load as load_state
 from keymint.view.tree import HeldError, Tree, read_file
+from keymint.workspace.installed_enclaves import KEY
 from keymint.workspace.session import Inputs, Session
 from keymint.workspace.workspace import Workspace, find, missing_gitignores, shown_path
 
@@ -200,8 +201,8 @@ class Run:
                 for space in workspace.spaces():
                     # Other files beside the XML may be large, and are never read.
                     written = space in (workspace.profile, workspace.src)
-                    readable = not auditing or space != workspace.private
-                    inputs.tree.hold(space, suffix=".xml" if written else "", readable=readable)
+                    optional = ("" if space == workspace.private else KEY) if auditing else None
+                    inputs.tree.hold(space, suffix=".xml" if written else "", optional=optional)
                 inputs.tree.hold(workspace.state, suffix="no content")
             if locked or not (workspace.state / LOCK).exists():
                 break

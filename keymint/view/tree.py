@@ -217,7 +217,7 @@ class Tree:
         path = str(path)
         return "" if path in self._statuses and path not in self._links else linked_file(path, self._linked)
 
-    def hold(self, folder: Path, *, suffix: str = "", readable: bool = True) -> None:
+    def hold(self, folder: Path, *, suffix: str = "", optional: str | None = None) -> None:
         """Read everything below a folder into memory, so that the disk is not accessed again.
 
         Errors are raised at the access to the file that cannot be read.
@@ -225,7 +225,7 @@ class Tree:
         Args:
             folder: absolute path; need not exist.
             suffix: only files with this suffix are read; of the others only their existence is known.
-            readable: the user must be permitted to read all of it; else the rest counts as absent, and is listed.
+            optional: what has this suffix and the user is not permitted to read counts as absent, and is listed.
         """
         self._statuses[str(folder)] = lstat(str(folder))
         waiting = [str(folder)]
@@ -234,7 +234,7 @@ class Tree:
             try:
                 entries = self._entries[inner] = self._scan(inner)
             except KeymintError as error:
-                self._entries[inner] = {} if self._leaves_out(inner, error, readable=readable) else error
+                self._entries[inner] = {} if self._leaves_out(inner, error, optional) else error
                 continue
             for name, is_folder in entries.items():
                 path = f"{inner}/{name}"
@@ -246,7 +246,7 @@ class Tree:
                     content = self._opened(path)
                     self._contents[path] = self._equal.setdefault(content, content)
                 except KeymintError as error:
-                    self._contents[path] = None if self._leaves_out(path, error, readable=readable) else error
+                    self._contents[path] = None if self._leaves_out(path, error, optional) else error
         self._held = (*self._held, f"{folder}/")
 
     @property
@@ -360,8 +360,9 @@ class Tree:
         self._links.add(path)
         return lstat(linked_file(path, self._linked) or path)
 
-    def _leaves_out(self, path: str, error: KeymintError, *, readable: bool) -> bool:
-        is_left_out = not readable and isinstance(error.__cause__, PermissionError)
+    def _leaves_out(self, path: str, error: KeymintError, optional: str | None) -> bool:
+        is_refused = isinstance(error.__cause__, PermissionError)
+        is_left_out = is_refused and optional is not None and path.endswith(optional)
         self._left_out |= {path} if is_left_out else set()
         return is_left_out
 

@@ -71,7 +71,7 @@ def check(
         no_prove: Leave out the proof that installed documents permit what the policy says.
         fresh: Prove again what was proven before.
         sarif: Write the findings as SARIF 2.1.0.
-        without_private: Exit with 0 although you may not read all of private/.
+        without_private: Exit with 0 although you may not read all private keys and the register.
     """
     session = run.session(auditing=True)
     chosen = names.packages(run, session)

@@ -14,8 +14,9 @@ from comarmor.errors import Diagnostic
 from keymint.api import BuildType, EnclaveFiles, Package, TrustAnchor, TrustAnchors
 from keymint.authority.authority_files import trusted_chains
 from keymint.authority.examine import contradictions_for
+from keymint.pki import keys
 from keymint.stages.documents import installed_documents, shared_roles
-from keymint.workspace.installed_enclaves import INSTALLED, enclave_files
+from keymint.workspace.installed_enclaves import INSTALLED, KEY, enclave_files, installed_certificate
 from keymint.workspace.package_build_types import build_types_of, is_build_current
 from keymint.workspace.session import Session, once
 
@@ -30,6 +31,11 @@ def anchors_of(session: Session, package: Package, build_type: BuildType) -> Tru
     """
     authorities = {role.role: _anchor(session, (role.name,)) for role in build_type.authorities(package)}
     identity, layout, public_key = package.identity, session.profile.layout, package.issuance.public_key
+    if not public_key and session.tree.is_left_out(session.enclave(package.name) / KEY):
+        # This user may not read it, and is told so: it is not compared with the certificate.
+        certificate = installed_certificate(session, package.name)
+        own = certificate and certificate.public_key()
+        public_key = keys.public_to_pem(own) if isinstance(own, keys.PublicKey) else b""
     distro = session.vendors_of or package.distro
     return TrustAnchors(authorities, identity.subject_name, layout, public_key, identity.key.uri, distro)
 

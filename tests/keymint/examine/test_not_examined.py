@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -24,7 +25,7 @@ os.execv(sys.executable, [sys.executable, "-m", "keymint", *sys.argv[1:]])
 """
 KEYS = [f"private/{name}" for name in ("identities", "identity_ca.key.pem", "permissions_ca.key.pem")]
 EVERYTHING = [*KEYS, "private/register.sqlite3"]
-SAFE = "install/enclaves/talker/key.pem"
+SAFE = "install/enclaves/talker/cert.pem"
 
 
 @pytest.fixture
@@ -138,8 +139,32 @@ def test_other_verbs_fail_as_before(audited: Path, words: tuple[str, ...]) -> No
     assert {each["code"] for each in found["diagnostics"]} == {"file-unreadable"}
 
 
+@pytest.mark.parametrize("verb", ["check", "prove", "status"])
+@pytest.mark.parametrize("transport", ["dds", "zenoh"])
+def test_keys_of_enclaves_are_unknown(
+    keymint: Callable, policy: Path, tmp_path: Path, verb: str, transport: str
+) -> None:
+    """Everything else is examined: a wrong certificate beside such a key is found."""
+    if os.geteuid() != 0:
+        pytest.skip("only root gives files to others")
+    ws = tmp_path / "ws"
+    assert keymint("provision", policy, "-w", ws, "--transport", transport).code == 0
+    give(ws, "")
+    enclaves = sorted((ws / "install/enclaves").rglob("key.pem"))
+    for key in enclaves:
+        give(ws, str(key))
+    found = document(ws, verb)
+    assert (found["exit_code"], files(found)) == (3 if verb == "check" else 0, ["install"])
+    assert "private keys of enclaves are not compared" in run(ws, verb).stderr
+    shutil.copy(enclaves[0].with_name("cert.pem"), enclaves[1].with_name("cert.pem"))
+    found = document(ws, "check", "--without-private")
+    assert found["exit_code"] == 3
+    assert "error" in {each["severity"] for each in found["diagnostics"]}
+
+
 @pytest.mark.parametrize("verb", ["check", "prove"])
 def test_a_file_of_install_stays_an_error(audited: Path, verb: str) -> None:
+    (audited / SAFE).chmod(0o600)
     give(audited, SAFE)
     found = document(audited, verb)
     assert found["exit_code"] != 0
