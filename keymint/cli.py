@@ -15,7 +15,6 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from datetime import UTC, datetime
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TextIO, cast
 
 import click
@@ -98,14 +97,11 @@ _LAST = datetime(9900, 1, 1, tzinfo=UTC)
 """A later clock is an error: authorities are valid for ten years, and certificates end in the year 9999 (RFC 5280)."""
 
 
-class _Verbs(VerbGroup):
-    """The verbs."""
-
-    GROUPS = GROUPS
-    MODULES: Mapping[str, str] = MappingProxyType({"import": "import_policy", "set": "set_setting"})
-
-
-@click.group(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.group(
+    cls=VerbGroup, groups=GROUPS, module="keymint.commands.{group}.{verb}",
+    others={"import": "import_policy", "set": "set_setting"},
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+)  # fmt: skip
 @click.version_option(__version__, prog_name="keymint")
 @click.option("--color", type=click.Choice(("auto", "always", "never")), help="Colours; auto: on a terminal [auto].")
 def cli(color: str | None) -> None:

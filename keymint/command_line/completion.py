@@ -17,7 +17,7 @@ from keymint.api import BuildType, LoadedPolicy, ProfileType
 from keymint.api.graph import LABELLED
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import DEFAULT_PROFILE_TYPE, PolicyOptions, policy_options
-from keymint.command_line.verb import PluginOption
+from keymint.command_line.verb import Word
 from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.run.run import Run, Setting
@@ -42,7 +42,8 @@ def values(context: click.Context, parameter: click.Parameter, incomplete: str) 
     name = str(parameter.name)
     find = _VALUES.get(f"{context.info_name} {name}", _VALUES.get(name, lambda *_: ()))
     try:
-        known = run.plugins.names(parameter.group) if isinstance(parameter, PluginOption) else find(run, context)
+        group = parameter.type.group if isinstance(parameter.type, Word) else ""
+        known = run.plugins.names(group) if group else find(run, context)
         found = {each for each in known if each.startswith(incomplete)}
     except (KeymintError, OSError):
         return []

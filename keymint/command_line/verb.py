@@ -40,7 +40,7 @@ from keymint.workspace.shipped_profiles import UnacceptedPackagesError
 from keymint.workspace.workspace import PROFILE_MARKER
 
 __all__ = [
-    "FILE", "PATH", "Number", "OptionGroup", "PluginOption", "Report", "Run", "argument", "findings_exit",
+    "FILE", "PATH", "Number", "OptionGroup", "Report", "Run", "Word", "argument", "findings_exit",
     "findings_if", "flag", "graph_source", "option", "option_group", "parameters_of", "path_option", "plugin", "verb",
 ]  # fmt: skip
 Verb = Callable[..., Report]
@@ -198,24 +198,20 @@ class Number(click.FloatRange):
         return number
 
 
-class _Word(click.types.StringParamType):
-    """A text for which the shell is offered what exists; see :mod:`keymint.command_line.completion`."""
-
-    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        found = import_module("keymint.command_line.completion").values(ctx, param, incomplete)
-        return [CompletionItem(each) for each in found]
-
-
-class PluginOption(click.Option):
-    """An option that names a plugin.
+class Word(click.types.StringParamType):
+    """A text for which the shell is offered what exists; see :mod:`keymint.command_line.completion`.
 
     Args:
-        group: the entry-point group of the plugin.
+        group: the entry-point group of the plugins that it names; empty if it names none.
     """
 
-    def __init__(self, *arguments: Any, group: str, **settings: Any) -> None:
-        super().__init__(*arguments, metavar="NAME", **settings)
+    def __init__(self, group: str = "") -> None:
         self.group = group
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """Return what the shell offers."""
+        found = import_module("keymint.command_line.completion").values(ctx, param, incomplete)
+        return [CompletionItem(each) for each in found]
 
 
 def require_known_plugins(context: click.Context, plugins: Plugins) -> None:
@@ -225,12 +221,11 @@ def require_known_plugins(context: click.Context, plugins: Plugins) -> None:
         KeymintError: a plugin is not installed; the exit code is that of a usage error.
     """
     for parameter in context.command.params:
-        if not isinstance(parameter, PluginOption) or parameter.name is None:
-            continue
-        if context.get_parameter_source(parameter.name) is ParameterSource.COMMANDLINE:
-            value = context.params[parameter.name]
-            for name in value if isinstance(value, tuple) else (value,):
-                plugins.require(parameter.group, name)
+        kind, name = parameter.type, str(parameter.name)
+        if isinstance(kind, Word) and kind.group and context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
+            value = context.params[name]
+            for plugin in value if isinstance(value, tuple) else (value,):
+                plugins.require(kind.group, plugin)
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,15 +249,14 @@ class OptionGroup:
         return made
 
 
-def option(*names: str, cls: type[click.Option] = click.Option, **settings: Any) -> Any:
+def option(*names: str, **settings: Any) -> Any:
     """Return the default of an argument that an option gives.
 
     Args:
         names: its names; without a long one, the name of the argument.
-        cls: kind of the option.
         settings: as of :class:`click.Option`.
     """
-    return functools.partial(_option, names, cls, settings)
+    return functools.partial(_option, names, settings)
 
 
 def flag(*names: str, **settings: Any) -> Any:
@@ -281,7 +275,7 @@ def plugin(group: str, *names: str, **settings: Any) -> Any:
     Only authors of plugins choose among those of most groups: the help page shows these options if it is asked for all.
     """
     hidden = group not in _CHOSEN_BY_USERS
-    return option(*names, cls=PluginOption, group=group, hidden=hidden, **settings)
+    return option(*names, type=Word(group), metavar="NAME", hidden=hidden, **settings)
 
 
 def argument(**settings: Any) -> Any:
@@ -321,15 +315,15 @@ def parameters_of(function: Callable[..., Any]) -> tuple[list[click.Parameter], 
         elif isinstance(each.default, functools.partial):
             found.append(each.default(each.name))
     for parameter in found:
-        parameter.type = _Word() if parameter.type is click.STRING else parameter.type
+        parameter.type = Word() if parameter.type is click.STRING else parameter.type
         if isinstance(parameter, click.Option):
             parameter.help = parameter.help or texts.get(str(parameter.name))
     return found, groups
 
 
-def _option(names: tuple[str, ...], cls: type[click.Option], settings: Mapping[str, Any], name: str) -> click.Option:
+def _option(names: tuple[str, ...], settings: Mapping[str, Any], name: str) -> click.Option:
     long = () if any(each.startswith("--") for each in names) else (f"--{name.replace('_', '-')}",)
-    return cls([name, *names, *long], **settings)
+    return click.Option([name, *names, *long], **settings)
 
 
 def graph_source(plugins: Plugins, name: str | None, option: str) -> GraphSource:

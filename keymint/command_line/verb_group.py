@@ -6,7 +6,6 @@ from __future__ import annotations
 import importlib
 from collections.abc import Mapping
 from importlib import resources
-from types import MappingProxyType
 from typing import Any
 
 import click
@@ -76,32 +75,32 @@ class VerbCommand(click.Command):
 class VerbGroup(click.Group):
     """Verbs, in groups.
 
-    Attributes:
-        GROUPS: each verb with its help, by the title of its group.
-        MODULE: module of a verb, with places for its group in small letters and for its name.
-        MODULES: what stands there for the name of a verb whose module has another one.
+    Args:
+        groups: each verb with its help, by the title of its group.
+        module: module of a verb, with places for its group in small letters and for its name.
+        others: what stands there for the name of a verb whose module has another one.
     """
 
-    GROUPS: Mapping[str, Mapping[str, str]]
-    MODULE = "keymint.commands.{group}.{verb}"
-    MODULES: Mapping[str, str] = MappingProxyType({})
-
-    def __init__(self, *arguments: Any, **settings: Any) -> None:
+    def __init__(
+        self, *arguments: Any, groups: Mapping[str, Mapping[str, str]], module: str, others: Mapping[str, str],
+        **settings: Any,
+    ) -> None:  # fmt: skip
         super().__init__(*arguments, **settings)
+        self._groups, self._module, self._others = groups, module, others
         self.params.append(help_all(hidden=True))
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of the verbs."""
         del ctx
-        return [verb for verbs in self.GROUPS.values() for verb in verbs]
+        return [verb for verbs in self._groups.values() for verb in verbs]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Return a verb, or None if there is no such one."""
         del ctx
-        group = next((title for title, verbs in self.GROUPS.items() if cmd_name in verbs), None)
+        group = next((title for title, verbs in self._groups.items() if cmd_name in verbs), None)
         if group is None:
             return None
-        module = self.MODULE.format(group=group.lower(), verb=self.MODULES.get(cmd_name, cmd_name))
+        module = self._module.format(group=group.lower(), verb=self._others.get(cmd_name, cmd_name))
         with held_signals():
             found = vars(importlib.import_module(module)).values()
         return next(each for each in found if isinstance(each, click.Command) and each.name == cmd_name)
@@ -124,6 +123,6 @@ class VerbGroup(click.Group):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the verbs with their help."""
         del ctx
-        for title, verbs in self.GROUPS.items():
+        for title, verbs in self._groups.items():
             with formatter.section(title):
                 formatter.write_dl(list(verbs.items()))

@@ -26,13 +26,7 @@ from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph, p
 from keymint.drawing.simplify import DrawingOptions
 from keymint.life.workspace_register import with_enclaves
 from keymint.output.junit import junit as junit_document
-from keymint.output.mismatches import (
-    comparisons_json,
-    diagnostics,
-    enumeration,
-    junit_suites,
-    sarif_results,
-)
+from keymint.output.mismatches import comparisons_json, diagnostics, enumeration, junit_suites, sarif_results
 from keymint.output.sarif import sarif as sarif_log
 from keymint.stages.proof.trust_anchors import differences
 from keymint.store.changes import Action, Step

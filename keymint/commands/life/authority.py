@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import MappingProxyType
 
 import click
 
@@ -20,15 +19,10 @@ VERBS: Mapping[str, str] = {
 }
 
 
-class _AuthorityVerbs(VerbGroup):
-    """The verbs about authorities."""
-
-    GROUPS: Mapping[str, Mapping[str, str]] = MappingProxyType({"Verbs": VERBS})
-    MODULE = "keymint.commands.life.authority_{verb}"
-    MODULES: Mapping[str, str] = MappingProxyType(dict.fromkeys(("renew", "import", "encrypt"), "change"))
+_OTHERS = dict.fromkeys(("renew", "import", "encrypt"), "change")
 
 
-@click.group(cls=_AuthorityVerbs)
+@click.group(cls=VerbGroup, groups={"Verbs": VERBS}, module="keymint.commands.life.authority_{verb}", others=_OTHERS)
 def authority() -> None:
     """Show, renew, replace, encrypt, import or export the certificate authorities of a workspace.
 

@@ -24,10 +24,7 @@ STAGE = "register"
 
 @verb(dry_run=True, name="issued", former={"tolerate": "--accept"})
 def issued_certificates(
-    run: Run,
-    names: Names = names_group(),
-    revoked: bool = flag(),
-    tolerate: bool = flag(),
+    run: Run, names: Names = names_group(), revoked: bool = flag(), tolerate: bool = flag()
 ) -> Report:
     """List the certificates that were issued: serial number, subject, generation, dates, and whether it is revoked.
 

@@ -19,11 +19,7 @@ from keymint.workspace.session import Session
 
 
 @verb(dry_run=True, yes=True)
-def remove(
-    run: Run,
-    names: Names = names_group(required=True),
-    never_deployed: bool = flag(),
-) -> Report:
+def remove(run: Run, names: Names = names_group(required=True), never_deployed: bool = flag()) -> Report:
     """Remove packages for good: sources, documents, key and enclave; their certificates are revoked as retired.
 
     Remove them from the policy first, or they would be made again. Every other enclave gets the revocation list; deploy

@@ -45,10 +45,7 @@ def provision(
     policy: Path = argument(type=PATH),
     profile: ProfileOptions = profile_options,
     force: bool = flag("-f"),
-    rekey: Names = option_group(
-        Names,
-        given=option("--rekey", multiple=True, metavar="NAME"),
-    ),
+    rekey: Names = option_group(Names, given=option("--rekey", multiple=True, metavar="NAME")),
     document_options: DocumentOptions = document_options,
     request: InstallRequest = install_request(),
     acceptance: AcceptanceOptions = acceptance_options,
