@@ -316,10 +316,6 @@ class Plugins:
         """
         known = self._entries.get(group, {})
         if name not in known:
-            raise KeymintError(
-                f"no {_kind(group)} {name!r} is installed",
-                where=where,
-                help=did_you_mean(name, known, "'keymint plugins' lists the installed ones"),
-                code="plugin-unknown",
-                exit_code=exit_code,
-            )
+            message = f"no {_kind(group)} {name!r} is installed"
+            help_ = did_you_mean(name, known, "'keymint plugins' lists the installed ones")
+            raise KeymintError(message, where=where, help=help_, code="plugin-unknown", exit_code=exit_code)

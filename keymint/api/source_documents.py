@@ -128,12 +128,8 @@ def domains(element: etree._Element | None) -> tuple[DomainRange, ...]:
     for item in () if element is None else element:
         ends = [int(text(end) or "") for end in item] or [int(text(item) or "")]
         if ends[0] > ends[-1]:
-            raise KeymintError(
-                f"the range of domains ends at {ends[-1]}, before its start at {ends[0]}",
-                where=place(item),
-                help="exchange <min> and <max>",
-                code="domain-range",
-            )
+            message = f"the range of domains ends at {ends[-1]}, before its start at {ends[0]}"
+            raise KeymintError(message, where=place(item), help="exchange <min> and <max>", code="domain-range")
         ranges.append(DomainRange(ends[0], ends[-1]))
     return tuple(dict.fromkeys(ranges))
 
@@ -159,12 +155,8 @@ def signer(named: str, named_at: Origin, default: str, default_at: Origin, known
 
 def incomplete(owner: str, tag: str, defaults: Origin) -> KeymintError:
     """Return the error for a ``certificate`` or ``grant`` that lacks an element in its document and its defaults."""
-    return KeymintError(
-        f"the {owner} has no <{tag}>, neither in its own document nor in these defaults",
-        where=defaults,
-        help=f"add a <{tag}>",
-        code=f"{owner}-incomplete",
-    )
+    message = f"the {owner} has no <{tag}>, neither in its own document nor in these defaults"
+    return KeymintError(message, where=defaults, help=f"add a <{tag}>", code=f"{owner}-incomplete")
 
 
 def file_in(files: Mapping[str, bytes], path: str, where: Origin, space: str) -> bytes:
@@ -181,14 +173,11 @@ def file_in(files: Mapping[str, bytes], path: str, where: Origin, space: str) ->
     """
     inside = normal_path(path, where)
     if inside not in files:
-        raise KeymintError(
-            f"there is no file {quote(path, 200)} in the {space}",
-            where=where,
-            help=did_you_mean(
-                inside, files, "restore it, e.g. from version control, or correct the path", similarity=0.85
-            ),
-            code="file-missing",
+        message = f"there is no file {quote(path, 200)} in the {space}"
+        help_ = did_you_mean(
+            inside, files, "restore it, e.g. from version control, or correct the path", similarity=0.85
         )
+        raise KeymintError(message, where=where, help=help_, code="file-missing")
     return files[inside]
 
 
@@ -201,10 +190,7 @@ def normal_path(path: str, where: Origin) -> str:
     if _PLAIN.fullmatch(path):
         return path
     if path.startswith("/") or ".." in path.split("/") or "\\" in path or not path.isprintable():
-        raise KeymintError(
-            f"the path {path!r} is not a plain relative path",
-            where=where,
-            help="write a path inside the same folder, without '..' or a leading '/'",
-            code="path-outside",
-        )
+        message = f"the path {path!r} is not a plain relative path"
+        help_ = "write a path inside the same folder, without '..' or a leading '/'"
+        raise KeymintError(message, where=where, help=help_, code="path-outside")
     return posixpath.normpath(path)

@@ -51,12 +51,9 @@ def plan_authority_issuance(session: Session, name: str, new: AuthorityIssuance,
     issuance = {**{each.name: each.issuance for each in profile.authorities}, name: new}
     files = session.profile_type.with_authority_issuance(issuance)
     if files is None:
-        raise KeymintError(
-            f"the profile type {profile.profile_type!r} cannot keep what is decided about authorities",
-            where=session.profile_marker(),
-            help="change the dates in the profile instead, and run 'keymint install'",
-            code="profile-without-issuance",
-        )
+        message = f"the profile type {profile.profile_type!r} cannot keep what is decided about authorities"
+        help_ = "change the dates in the profile instead, and run 'keymint install'"
+        raise KeymintError(message, where=session.profile_marker(), help=help_, code="profile-without-issuance")
     changes = folder_changes(session.tree, session.workspace.profile, files)
     return Plan((Step(STAGE, "", Action.UPDATED, changes, detail),) if changes else (), session.state)
 
@@ -199,12 +196,9 @@ def _require_replaceable(files: AuthorityFiles) -> None:
     issuance, name = files.authority.issuance, files.name
     if issuance.rollover or issuance.adopted:
         why = "its replacement is under way" if issuance.rollover else "its certificate was imported"
-        raise KeymintError(
-            f"the authority {name!r} is not made again at once: {why}",
-            where=files.certificate_file,
-            help=f"use 'keymint authority replace {name}'",
-            code="authority-not-minted",
-        )
+        message = f"the authority {name!r} is not made again at once: {why}"
+        help_ = f"use 'keymint authority replace {name}'"
+        raise KeymintError(message, where=files.certificate_file, help=help_, code="authority-not-minted")
 
 
 def _issued(
@@ -323,12 +317,9 @@ def token_key(inputs: Inputs, files: AuthorityFiles, *, renew: bool) -> keys.Pri
 def key_copies(files: AuthorityFiles) -> Iterator[Diagnostic]:
     """Yield a warning if the private key lies in a file as well as in its token."""
     if files.key is not None:
-        yield Diagnostic.warning(
-            "authority-key-copy",
-            f"is a private key of the authority {files.name!r}, whose key is to lie in a token only",
-            files.key_file,
-            "move it to a safe place that is no computer's disk, or destroy it",
-        )
+        message = f"is a private key of the authority {files.name!r}, whose key is to lie in a token only"
+        help_ = "move it to a safe place that is no computer's disk, or destroy it"
+        yield Diagnostic.warning("authority-key-copy", message, files.key_file, help_)
 
 
 def only_in_token(authority: Authority, help_: str) -> KeymintError:
@@ -338,9 +329,5 @@ def only_in_token(authority: Authority, help_: str) -> KeymintError:
         authority: the authority.
         help_: what to do.
     """
-    return KeymintError(
-        f"the private key of the authority {authority.name!r} lies in a token, not in a file",
-        where=authority.certificate.origin,
-        help=help_,
-        code="authority-in-token",
-    )
+    message = f"the private key of the authority {authority.name!r} lies in a token, not in a file"
+    return KeymintError(message, where=authority.certificate.origin, help=help_, code="authority-in-token")

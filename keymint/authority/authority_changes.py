@@ -109,11 +109,9 @@ def require_no_rollover(session: Session, name: str) -> None:
     """
     rollover = authority_named(session, name).issuance.rollover
     if rollover is not None:
-        raise KeymintError(
-            f"the key of the authority {name!r} is being replaced (phase {rollover.phase})",
-            help=f"'keymint authority replace {name}' says how to end that",
-            code="rollover-under-way",
-        )
+        message = f"the key of the authority {name!r} is being replaced (phase {rollover.phase})"
+        help_ = f"'keymint authority replace {name}' says how to end that"
+        raise KeymintError(message, help=help_, code="rollover-under-way")
 
 
 def plan_import(session: Session, name: str, given: GivenAuthority) -> Plan:
@@ -227,12 +225,9 @@ def plan_encryption(session: Session, name: str) -> Plan:
     authority = authority_named(session, name)
     spec, files = authority.certificate, authority_files.read_files(session, authority)
     if not spec.key.password_env:
-        raise KeymintError(
-            f"the profile does not ask for an encrypted key of the authority {name!r}",
-            where=spec.origin,
-            help="write BestAvailableEncryption and a <password_env>, there or in the defaults of authorities",
-            code="encryption-unasked",
-        )
+        message = f"the profile does not ask for an encrypted key of the authority {name!r}"
+        help_ = "write BestAvailableEncryption and a <password_env>, there or in the defaults of authorities"
+        raise KeymintError(message, where=spec.origin, help=help_, code="encryption-unasked")
     if files.key is None:
         raise authority_files.key_elsewhere(name, files.key_file, "encrypt it where it is")
     encrypted = []
@@ -303,12 +298,9 @@ def implementations(session: Session, chosen: Collection[str] = ()) -> dict[str,
     names = {each.name for of_type in known.values() for each in of_type}
     for name in chosen:
         if name not in names:
-            raise KeymintError(
-                f"no transport of this workspace has an implementation {name!r}",
-                help=did_you_mean(name, names, f"known are {', '.join(sorted(names)) or 'none'}"),
-                code="implementation-unknown",
-                exit_code=ExitCode.USAGE,
-            )
+            message = f"no transport of this workspace has an implementation {name!r}"
+            help_ = did_you_mean(name, names, f"known are {', '.join(sorted(names)) or 'none'}")
+            raise KeymintError(message, help=help_, code="implementation-unknown", exit_code=ExitCode.USAGE)
     return {name: tuple(each for each in of_type if each.name in chosen) or of_type for name, of_type in known.items()}
 
 

@@ -107,22 +107,16 @@ def require_in_use(files: AuthorityFiles, key: keys.PublicKey) -> None:
     present, spec, new_help = files.certificate, files.authority.certificate, new_authority_help(files.name)
     if present is not None:
         if not keys.matches(key, present) and keys.fingerprint(key) in files.known():
-            raise KeymintError(
-                f"is the certificate of another key than {files.key_file}, which is the key of {files.name!r}",
-                where=files.certificate_file,
-                help=f"restore it, or remove it and run 'keymint install'; {new_help}",
-                code="authority-key-mismatch",
-            )
+            message = f"is the certificate of another key than {files.key_file}, which is the key of {files.name!r}"
+            help_ = f"restore it, or remove it and run 'keymint install'; {new_help}"
+            raise KeymintError(message, where=files.certificate_file, help=help_, code="authority-key-mismatch")
         help_ = f"restore the file that is wrong; {new_help}"
         require_pair(key, present, files.key_file, str(files.certificate_file), help_)
         if not distinguished_names.has_same_rdns(present.subject, files.subject):
             found, wanted = map(distinguished_names.to_text, (present.subject, files.subject))
-            raise KeymintError(
-                f"is for {found!r}, but {spec.origin} asks for {wanted!r}",
-                where=files.certificate_file,
-                help=f"restore the file or the subject_name; {new_help}",
-                code="authority-renamed",
-            )
+            message = f"is for {found!r}, but {spec.origin} asks for {wanted!r}"
+            help_ = f"restore the file or the subject_name; {new_help}"
+            raise KeymintError(message, where=files.certificate_file, help=help_, code="authority-renamed")
     require_known(files, key)
 
 
@@ -134,12 +128,9 @@ def require_rollover(files: AuthorityFiles, key: keys.PublicKey) -> None:
     """
     rollover = files.authority.issuance.rollover
     if rollover and certificates.public_key(certificates.load(rollover.certificate)) == key:
-        raise KeymintError(
-            f"the replacement of the key of {files.name!r} was interrupted",
-            where=files.key_file,
-            help=f"'keymint authority replace {files.name}' goes on",
-            code="rollover-interrupted",
-        )
+        message = f"the replacement of the key of {files.name!r} was interrupted"
+        help_ = f"'keymint authority replace {files.name}' goes on"
+        raise KeymintError(message, where=files.key_file, help=help_, code="rollover-interrupted")
 
 
 def require_own_keys(session: Session, fingerprints: Mapping[str, str]) -> None:
@@ -214,11 +205,8 @@ def certificate_contradictions(files: AuthorityFiles, key: keys.PublicKey | None
         certificates.load(content, where)
         public = certificates.public_key(certificates.load_first(content, where), where)
         if adopted and content != adopted:
-            raise KeymintError(
-                f"is not the certificate that was imported for the authority {files.name!r}",
-                where=where,
-                help="'keymint install' restores it; 'keymint authority import' takes another one",
-                code="authority-drift",
-            )
+            message = f"is not the certificate that was imported for the authority {files.name!r}"
+            help_ = "'keymint install' restores it; 'keymint authority import' takes another one"
+            raise KeymintError(message, where=where, help=help_, code="authority-drift")
         require_in_use(files, key or public)
     return tuple(defects.found)

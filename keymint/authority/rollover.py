@@ -148,11 +148,9 @@ def plan_cancel(session: Session, name: str) -> Plan:
     authority = authority_named(session, name)
     rollover = authority.issuance.rollover
     if rollover and (rollover.phase is Phase.REISSUE or is_interrupted(session, name)):
-        raise KeymintError(
-            f"the next key of {name!r} is in force already: its replacement cannot be cancelled",
-            help=f"end it with 'keymint authority replace {name} --phase end'; then replace the key once more",
-            code="rollover-too-late",
-        )
+        message = f"the next key of {name!r} is in force already: its replacement cannot be cancelled"
+        help_ = f"end it with 'keymint authority replace {name} --phase end'; then replace the key once more"
+        raise KeymintError(message, help=help_, code="rollover-too-late")
     decided = plan_authority_issuance(session, name, replace(authority.issuance, rollover=None), f"{name}: cancelled")
     key, former = (session.tree.read(session.workspace.authority_key(each)) for each in (name, f"{name}.{FORMER}"))
     suffixes = (NEXT, FORMER) if key == former else (NEXT,)  # a run that was killed copied it
@@ -193,12 +191,9 @@ def _made(session: Session, authority: Authority) -> tuple[bytes, bytes]:
     if spec.adopted:
         return issued_like(session, authority, certificates.load(spec.adopted), key), pem
     if spec.serial is not None:
-        raise KeymintError(
-            f"the authority {name!r} has a fixed serial number, which its next certificate must not have as well",
-            where=spec.origin,
-            help="leave <serial_number> empty for a random one",
-            code="serial-taken",
-        )
+        message = f"the authority {name!r} has a fixed serial number, which its next certificate must not have as well"
+        help_ = "leave <serial_number> empty for a random one"
+        raise KeymintError(message, where=spec.origin, help=help_, code="serial-taken")
     renewed = replace(authority.issuance, renewed=periods.begin(session.now))
     after = session.after(plan_authority_issuance(session, name, renewed, "")).session()
     issued_for, signer = authority_named(after, name).certificate, issuer_of(session, authority) or key
@@ -215,12 +210,9 @@ def _given(
     """
     certificate, key = cert_and_key(session, authority, given)
     if certificate.public_key() == present.public_key():
-        raise KeymintError(
-            f"has the present key of the authority {authority.name!r}",
-            where=given.where,
-            help=f"'keymint authority import {authority.name}' takes a new certificate for it",
-            code="authority-unsuitable",
-        )
+        message = f"has the present key of the authority {authority.name!r}"
+        help_ = f"'keymint authority import {authority.name}' takes a new certificate for it"
+        raise KeymintError(message, where=given.where, help=help_, code="authority-unsuitable")
     return certificates.to_pem(certificate), key
 
 
@@ -232,12 +224,9 @@ def _require_distinct(session: Session, name: str, present: x509.Certificate, fo
     """
     where = session.workspace.origin(session.workspace.authority_certificate(name))
     if any(extensions.value(each, x509.SubjectKeyIdentifier) is None for each in (present, following)):
-        raise KeymintError(
-            f"an authority {name!r} without subjectKeyIdentifier cannot be told from another one of its name",
-            where=where,
-            help=f"'keymint authority renew {name}' adds it; or stage a second keystore, without --vendor",
-            code="authority-without-identifier",
-        )
+        message = f"an authority {name!r} without subjectKeyIdentifier cannot be told from another one of its name"
+        help_ = f"'keymint authority renew {name}' adds it; or stage a second keystore, without --vendor"
+        raise KeymintError(message, where=where, help=help_, code="authority-without-identifier")
     if present.subject != following.subject:
         raise KeymintError(
             f"the next authority {name!r} has another subject name than the present one, which some software compares",
@@ -262,12 +251,8 @@ def _former(session: Session, authority: Authority, present: x509.Certificate, f
     for each in files.in_use():
         if each != following:
             return certificates.to_pem(each)
-    raise KeymintError(
-        f"the former certificate of {authority.name!r} is neither here nor in an enclave",
-        where=files.certificate_file,
-        help="restore it from a backup",
-        code="authority-lost",
-    )
+    message = f"the former certificate of {authority.name!r} is neither here nor in an enclave"
+    raise KeymintError(message, where=files.certificate_file, help="restore it from a backup", code="authority-lost")
 
 
 def _issuance_of(session: Session, name: str, pem: bytes) -> AuthorityIssuance:
@@ -296,9 +281,5 @@ def _require_free_names(session: Session, name: str) -> None:
     taken = {f"{name}.{suffix}" for suffix in (NEXT, FORMER)}
     for each in session.profile.authorities:
         if each.name in taken:
-            raise KeymintError(
-                f"the name of the authority {each.name!r} is needed for a key of {name!r} while it is replaced",
-                where=each.certificate.origin,
-                help="rename it",
-                code="authority-name-taken",
-            )
+            message = f"the name of the authority {each.name!r} is needed for a key of {name!r} while it is replaced"
+            raise KeymintError(message, where=each.certificate.origin, help="rename it", code="authority-name-taken")

@@ -130,13 +130,9 @@ def linked_twice(inputs: Inputs, path: Path | str, subject: str) -> Iterator[Dia
     status = inputs.tree.status(path)
     # An interrupted run kept the keys of what it was about to replace: that run is a finding.
     if status and stat.S_ISREG(status.st_mode) and status.st_nlink > 1 and not inputs.tree.remnants:
-        yield Diagnostic.error(
-            "key-linked",
-            f"is a private key with {status.st_nlink} names: another one leads to it from elsewhere",
-            inputs.workspace.origin(path),
-            f"find the others with 'find / -xdev -inum {status.st_ino}', and remove them",
-            subject,
-        )
+        message = f"is a private key with {status.st_nlink} names: another one leads to it from elsewhere"
+        help_ = f"find the others with 'find / -xdev -inum {status.st_ino}', and remove them"
+        yield Diagnostic.error("key-linked", message, inputs.workspace.origin(path), help_, subject)
 
 
 def enclave_files_on_disk(session: Session, package: Package, files: Mapping[str, bytes]) -> Iterator[Diagnostic]:
@@ -202,12 +198,9 @@ def _open_to_others(inputs: Inputs, entries: list[_Entry]) -> Iterator[Diagnosti
     if writable:
         first = inputs.workspace.shown(writable[0])
         more = f", and {len(writable) - 1} more below it or beside it" if len(writable) > 1 else ""
-        yield Diagnostic.warning(
-            "place-writable",
-            f"others can write this{more}, and with it decide what the robots may do",
-            Origin(first),
-            f"chmod -R go-w {inputs.workspace.shown(entries[0][0])}" if more else f"chmod go-w {first}",
-        )
+        message = f"others can write this{more}, and with it decide what the robots may do"
+        help_ = f"chmod -R go-w {inputs.workspace.shown(entries[0][0])}" if more else f"chmod go-w {first}"
+        yield Diagnostic.warning("place-writable", message, Origin(first), help_)
 
 
 def _owned_by_others(inputs: Inputs, entries: list[_Entry], owners: frozenset[int]) -> Iterator[Diagnostic]:
@@ -217,12 +210,9 @@ def _owned_by_others(inputs: Inputs, entries: list[_Entry], owners: frozenset[in
     for path, owner in keys or foreign[:1]:
         shown = inputs.workspace.shown(path)
         more = "" if keys or len(foreign) == 1 else f", like {len(foreign) - 1} more below it or beside it"
-        yield Diagnostic.error(
-            "file-owner",
-            f"belongs to {_user(owner)}, who can change it{more}",
-            Origin(shown),
-            f"chown {_user(min(owners - {0}, default=0))} {shown}",
-        )
+        message = f"belongs to {_user(owner)}, who can change it{more}"
+        help_ = f"chown {_user(min(owners - {0}, default=0))} {shown}"
+        yield Diagnostic.error("file-owner", message, Origin(shown), help_)
 
 
 def _walk(inputs: Inputs, folder: Path) -> Iterator[_Entry]:

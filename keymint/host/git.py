@@ -56,11 +56,8 @@ def at_revision(text: str, folder: Path, environment: Mapping[str, str]) -> Iter
             tar.extractall(root, filter="data")
         extracted = (root / path).resolve()
         if not extracted.is_relative_to(root) or not extracted.exists():
-            raise KeymintError(
-                f"there is no {path!r} at {name!r}",
-                help="the path is relative to the repository; with ./ to the current folder",
-                code="revision",
-            )
+            help_ = "the path is relative to the repository; with ./ to the current folder"
+            raise KeymintError(f"there is no {path!r} at {name!r}", help=help_, code="revision")
         yield name, extracted, root
 
 

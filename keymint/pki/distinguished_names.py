@@ -256,11 +256,8 @@ def _type(kind: str) -> tuple[x509.ObjectIdentifier, int]:
             oid = x509.ObjectIdentifier(kind)
             return _TYPES[_SHORT[oid]] if oid in _SHORT else (oid, _UNBOUNDED)
     known = [*_TYPES, *_ALIASES]
-    raise KeymintError(
-        f"{kind!r} is not an attribute type of a subject name",
-        help=did_you_mean(kind, known, f"known are {', '.join(known)} and dotted OIDs"),
-        code="name-invalid",
-    )
+    help_ = did_you_mean(kind, known, f"known are {', '.join(known)} and dotted OIDs")
+    raise KeymintError(f"{kind!r} is not an attribute type of a subject name", help=help_, code="name-invalid")
 
 
 def _string(part: x509.NameAttribute[str | bytes]) -> str:

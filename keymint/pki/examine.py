@@ -357,12 +357,8 @@ def issuer_with(certificate: x509.Certificate, key: keys.PrivateKey, where: Orig
         KeymintError: they do not belong together.
     """
     if not keys.matches(key, certificate):
-        raise KeymintError(
-            "the private key does not belong to the certificate",
-            where=where,
-            help="restore the replaced file",
-            code="key-mismatch",
-        )
+        message = "the private key does not belong to the certificate"
+        raise KeymintError(message, where=where, help="restore the replaced file", code="key-mismatch")
     return certificates.Issuer(certificate, key)
 
 
@@ -380,8 +376,6 @@ def require_signer(authority: x509.Certificate, at: datetime | None) -> None:
         raise KeymintError.of([problem])
     begin, end = certificates.period(authority)
     if at is not None and not begin <= at <= end:
-        raise KeymintError(
-            f"the authority's certificate is valid from {begin:%Y-%m-%d} to {end:%Y-%m-%d}, not at {at:%Y-%m-%d}",
-            help="extend the validity of the authority in the profile, then install",
-            code="smime-authority-expired",
-        )
+        message = f"the authority's certificate is valid from {begin:%Y-%m-%d} to {end:%Y-%m-%d}, not at {at:%Y-%m-%d}"
+        help_ = "extend the validity of the authority in the profile, then install"
+        raise KeymintError(message, help=help_, code="smime-authority-expired")

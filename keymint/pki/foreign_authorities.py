@@ -112,12 +112,9 @@ def issued_like(
             is over.
     """
     if issuer is None and certificate.issuer != certificate.subject:
-        raise KeymintError(
-            f"was issued by {to_text(certificate.issuer)!r}, which is not in the workspace",
-            where=where,
-            help="let that authority issue a new one, and run 'keymint authority import'",
-            code="authority-issuer-elsewhere",
-        )
+        message = f"was issued by {to_text(certificate.issuer)!r}, which is not in the workspace"
+        help_ = "let that authority issue a new one, and run 'keymint authority import'"
+        raise KeymintError(message, where=where, help=help_, code="authority-issuer-elsewhere")
     above, public = issuer.certificate if issuer else None, key.public_key()
     validity = certificate_forms.checked_validity(validity, above, where)
     values = certificate_forms.defaults(extensions.Context(public, above), authority=True)

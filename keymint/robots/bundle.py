@@ -264,19 +264,13 @@ def load(content: bytes, where: Origin) -> Manifest:
     except (KeymintError, ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
         manifest = version = None
     if isinstance(version, int) and version > VERSION:
-        raise KeymintError(
-            f"is a bundle of version {version}, expected {VERSION}",
-            where=where,
-            help="install the version of Keymint that the authority has",
-            code="bundle-version",
-        )
+        message = f"is a bundle of version {version}, expected {VERSION}"
+        help_ = "install the version of Keymint that the authority has"
+        raise KeymintError(message, where=where, help=help_, code="bundle-version")
     if manifest is None or dump(manifest) != content:
-        raise KeymintError(
-            "its manifest is damaged, or not what 'keymint bundle' writes",
-            where=where,
-            help="copy the bundle again from the authority",
-            code="bundle-manifest",
-        )
+        message = "its manifest is damaged, or not what 'keymint bundle' writes"
+        help_ = "copy the bundle again from the authority"
+        raise KeymintError(message, where=where, help=help_, code="bundle-manifest")
     return manifest
 
 

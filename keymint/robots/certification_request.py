@@ -126,12 +126,9 @@ def _usable(key: object, where: Origin) -> keys.PublicKey:
         kind = keys.kind_of(key)
         if kind.curve in keys.CURVES or keys.MIN_RSA_BITS <= kind.size <= keys.MAX_RSA_BITS:
             return key
-    raise KeymintError(
-        f"asks for a key that is neither on {', '.join(keys.CURVES)} nor RSA of {keys.MIN_RSA_BITS} bits or more",
-        where=where,
-        help="make a new request on the robot with 'keymint request'",
-        code="key-kind",
-    )
+    message = f"asks for a key that is neither on {', '.join(keys.CURVES)} nor RSA of {keys.MIN_RSA_BITS} bits or more"
+    help_ = "make a new request on the robot with 'keymint request'"
+    raise KeymintError(message, where=where, help=help_, code="key-kind")
 
 
 def _signer(signature: bytes | None, block: bytes, where: Origin) -> str:

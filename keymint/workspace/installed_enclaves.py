@@ -84,12 +84,9 @@ def require_sources(inputs: Inputs) -> None:
     """
     src = inputs.workspace.src
     if inputs.tree.status(src) is None and not inputs.tree.names(src):
-        raise KeymintError(
-            "there is no source space, so it is unknown which enclaves are orphaned",
-            where=inputs.workspace.origin(src),
-            help="set it with --src-space, or create it to remove all enclaves",
-            code="sources-missing",
-        )
+        message = "there is no source space, so it is unknown which enclaves are orphaned"
+        help_ = "set it with --src-space, or create it to remove all enclaves"
+        raise KeymintError(message, where=inputs.workspace.origin(src), help=help_, code="sources-missing")
 
 
 def files_in(session: Session, name: str) -> tuple[str, ...]:

@@ -38,12 +38,9 @@ def _build_types(session: Session, package: Package) -> Mapping[str, BuildType]:
     for name, build_type in found.items():
         own = build_type.LAYOUTS.get(layout)
         if own is None or session.workspace.install / own.enclaves != session.enclaves:
-            raise KeymintError(
-                f"the build type {name} does not support the layout {layout!r} as this workspace has it",
-                where=marker,
-                help=f"it supports {', '.join(build_type.LAYOUTS)}",
-                code="layout-unsupported",
-            )
+            message = f"the build type {name} does not support the layout {layout!r} as this workspace has it"
+            help_ = f"it supports {', '.join(build_type.LAYOUTS)}"
+            raise KeymintError(message, where=marker, help=help_, code="layout-unsupported")
     return found
 
 

@@ -114,12 +114,8 @@ class Inputs:
             if "/" not in name or name.split("/")[0].endswith(".defaults")  # others belong to the policy
         }
         if PROFILE_MARKER not in files:
-            raise KeymintError(
-                "there is no profile",
-                where=self.profile_marker(),
-                help="run 'keymint init'",
-                code="workspace-missing",
-            )
+            help_ = "run 'keymint init'"
+            raise KeymintError("there is no profile", where=self.profile_marker(), help=help_, code="workspace-missing")
         for plugin in self.plugins.profile_types().values():
             if plugin.recognises(files):
                 profile = plugin.load(root, files)
@@ -129,12 +125,9 @@ class Inputs:
                     loaded_from.append(distro)
                 own = self.workspace, self.tree, self.state, self.plugins, self.environment, self.now, self.tokens
                 return Session(*own, profile, digest(*loaded_from))
-        raise KeymintError(
-            "no installed profile type recognises this profile",
-            where=self.profile_marker(),
-            help="'keymint plugins' lists the installed plugins",
-            code="profile-unknown",
-        )
+        message = "no installed profile type recognises this profile"
+        help_ = "'keymint plugins' lists the installed plugins"
+        raise KeymintError(message, where=self.profile_marker(), help=help_, code="profile-unknown")
 
     def _installed_distro(self, profile: WorkspaceProfile) -> str:
         """Return the distribution that installed documents tell, or an empty text."""
@@ -197,12 +190,9 @@ class Session(Inputs):
         if layouts := tuple(each.LAYOUTS[name] for each in build_types if name in each.LAYOUTS):
             return layouts
         known = sorted({layout for each in build_types for layout in each.LAYOUTS})
-        raise KeymintError(
-            f"no build type of the workspace has a layout {name!r}",
-            where=self.profile_marker(),
-            help=did_you_mean(name, known, f"known are {', '.join(known)}"),
-            code="layout-unknown",
-        )
+        message = f"no build type of the workspace has a layout {name!r}"
+        help_ = did_you_mean(name, known, f"known are {', '.join(known)}")
+        raise KeymintError(message, where=self.profile_marker(), help=help_, code="layout-unknown")
 
     @property
     @once
@@ -364,12 +354,9 @@ class Session(Inputs):
         for build_type, plugin in self.build_types.items():
             for name, title in plugin.packages(self.profile).items():
                 if name in needed:
-                    raise KeymintError(
-                        f"{needed[name][0]} and {title} are both named {name!r}",
-                        where=self.profile_marker(),
-                        help="give one of them another name",
-                        code="infrastructure-doubled",
-                    )
+                    message = f"{needed[name][0]} and {title} are both named {name!r}"
+                    help_ = "give one of them another name"
+                    raise KeymintError(message, where=self.profile_marker(), help=help_, code="infrastructure-doubled")
                 needed[name] = title, build_type
         return needed
 

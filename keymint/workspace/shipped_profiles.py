@@ -100,12 +100,9 @@ def plan_acceptance(
     """
     profile = session.profile
     if session.profile_type.with_packages({}) is None or profile.package_copies is None:
-        raise KeymintError(
-            f"the profile type {profile.profile_type!r} cannot keep what was accepted of packages",
-            where=session.profile_marker(),
-            help="copy the files into the policy, and include the copies",
-            code="profile-without-packages",
-        )
+        message = f"the profile type {profile.profile_type!r} cannot keep what was accepted of packages"
+        help_ = "copy the files into the policy, and include the copies"
+        raise KeymintError(message, where=session.profile_marker(), help=help_, code="profile-without-packages")
     by_package: dict[str, list[ShippedFile]] = {}
     for each in load(installed_packages(session, named if trust_links else ())).shipped or ():
         by_package.setdefault(each.package, []).append(each)
@@ -113,12 +110,9 @@ def plan_acceptance(
     steps: list[Step] = []
     for name, wanted in named.items():
         if name not in by_package:
-            raise KeymintError(
-                f"the policy includes no file of a package {quote(name)}",
-                help=did_you_mean(name, by_package, f"write package://{name}/FILE.xml into a profile first"),
-                code="package-unknown",
-                exit_code=ExitCode.USAGE,
-            )
+            message = f"the policy includes no file of a package {quote(name)}"
+            help_ = did_you_mean(name, by_package, f"write package://{name}/FILE.xml into a profile first")
+            raise KeymintError(message, help=help_, code="package-unknown", exit_code=ExitCode.USAGE)
         before = accepted.get(name, _NOTHING)
         files = {each.path: each.sha256 for each in by_package[name]}
         if wanted and wanted != package_digest(files):

@@ -32,12 +32,8 @@ def password(inputs: Inputs, spec: CertificateSpec) -> bytes | None:
         return None
     value = inputs.environment.get(variable, "")
     if not value:
-        raise KeymintError(
-            f"the environment variable {variable}, which holds the key's password, is not set",
-            where=spec.origin,
-            help=f"export {variable}=…",
-            code="password-missing",
-        )
+        message = f"the environment variable {variable}, which holds the key's password, is not set"
+        raise KeymintError(message, where=spec.origin, help=f"export {variable}=…", code="password-missing")
     secret = os.fsencode(value)  # the bytes of the environment, which need not be UTF-8
     if len(secret) > MAX_PASSWORD:
         raise KeymintError(

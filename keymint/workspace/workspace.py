@@ -70,12 +70,9 @@ class Workspace:
         paths = {space: (root / spaces[space]).resolve() if space in spaces else root / space for space in SPACES}
         for (one, path), (other, outer) in permutations(paths.items(), 2):
             if path.is_relative_to(outer):
-                raise KeymintError(
-                    f"the {one} space {path} is inside the {other} space {outer}",
-                    help="give each space a folder of its own",
-                    code="space-overlap",
-                    exit_code=ExitCode.USAGE,
-                )
+                message = f"the {one} space {path} is inside the {other} space {outer}"
+                help_ = "give each space a folder of its own"
+                raise KeymintError(message, help=help_, code="space-overlap", exit_code=ExitCode.USAGE)
         return cls(root=root, shown_from=shown_from, **paths)
 
     @property

@@ -200,8 +200,5 @@ def checked_domain(value: str) -> str:
 
 def _check_line(noun: str, value: str) -> None:
     if not value or value != value.strip() or not value.isprintable() or "  " in value:
-        raise KeymintError(
-            f"the {noun} {value!r} is not one line of printable text without surrounding or double spaces",
-            help="choose another one",
-            code="text-invalid",
-        )
+        message = f"the {noun} {value!r} is not one line of printable text without surrounding or double spaces"
+        raise KeymintError(message, help="choose another one", code="text-invalid")

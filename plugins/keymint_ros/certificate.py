@@ -41,12 +41,9 @@ def name_with_placeholders(element: etree._Element | None, known: Collection[str
     for match in _BRACES.finditer(name):
         if match.group(1) not in known:
             choices = ", ".join(f"{{{placeholder}}}" for placeholder in known)
-            raise KeymintError(
-                f"unknown placeholder {match.group()!r} in {name!r}",
-                where=place(element),
-                help=did_you_mean(match.group(1) or "", known, f"the placeholders are {choices}"),
-                code="placeholder-unknown",
-            )
+            message = f"unknown placeholder {match.group()!r} in {name!r}"
+            help_ = did_you_mean(match.group(1) or "", known, f"the placeholders are {choices}")
+            raise KeymintError(message, where=place(element), help=help_, code="placeholder-unknown")
     return name
 
 
@@ -230,12 +227,9 @@ def _serial(element: etree._Element) -> int:
         return _RANDOM
     serial = max(_RANDOM, int(number))
     if serial >= 1 << 8 * _SERIAL_OCTETS - 1:
-        raise KeymintError(
-            f"the serial number {number} is not a positive number of at most {_SERIAL_OCTETS} octets",
-            where=place(element),
-            help="leave the element empty for a random one",
-            code="serial-invalid",
-        )
+        message = f"the serial number {number} is not a positive number of at most {_SERIAL_OCTETS} octets"
+        help_ = "leave the element empty for a random one"
+        raise KeymintError(message, where=place(element), help=help_, code="serial-invalid")
     return serial
 
 
@@ -258,12 +252,9 @@ def _basic_constraints(element: etree._Element) -> str:
     if path_length is None:
         return "CA:TRUE" if is_authority else "CA:FALSE"
     if not is_authority:
-        raise KeymintError(
-            "<path_length> is given for a certificate that is not an authority's (RFC 5280, 4.2.1.9)",
-            where=place(path_length),
-            help="remove it, or write <ca>true</ca> for an authority",
-            code="extension-invalid",
-        )
+        message = "<path_length> is given for a certificate that is not an authority's (RFC 5280, 4.2.1.9)"
+        help_ = "remove it, or write <ca>true</ca> for an authority"
+        raise KeymintError(message, where=place(path_length), help=help_, code="extension-invalid")
     return f"CA:TRUE, pathlen:{int(text(path_length) or 0)}"
 
 
@@ -309,12 +300,9 @@ def _token_key(element: etree._Element, key: KeySpec, uri: etree._Element) -> Ke
     for name in ("encryption_algorithm", "password_env"):
         given = element.find(name)
         if given is not None and text(given) not in {"", "NoEncryption", None}:
-            raise KeymintError(
-                f"<{name}> is given for a key in a token, which no file contains",
-                where=place(given),
-                help="leave it out; <pin_env> names the environment variable of the PIN",
-                code="key-password",
-            )
+            message = f"<{name}> is given for a key in a token, which no file contains"
+            help_ = "leave it out; <pin_env> names the environment variable of the PIN"
+            raise KeymintError(message, where=place(given), help=help_, code="key-password")
     from keymint.pki.tokens import pkcs11_uri  # noqa: PLC0415 - few documents need it
 
     given_uri = text(uri) or ""

@@ -52,12 +52,10 @@ def check_choice(noun: str, value: str, known: Collection[str], code: str, where
     """
     if value in known:
         return value
+    message = f"unknown {noun} {value!r}"
+    help_ = did_you_mean(value, known, f"known are {', '.join(known)}")
     raise KeymintError(
-        f"unknown {noun} {value!r}",
-        where=where,
-        help=did_you_mean(value, known, f"known are {', '.join(known)}"),
-        code=code,
-        exit_code=ExitCode.FAILURE if where else ExitCode.USAGE,
+        message, where=where, help=help_, code=code, exit_code=ExitCode.FAILURE if where else ExitCode.USAGE
     )
 
 

@@ -120,12 +120,9 @@ def _keeps_edit(grant: WrittenGrant, now: str, file: str) -> bool:
         return False
     if grant.base == now:
         return True
-    raise KeymintError(
-        "these permissions were edited by hand, and the policy changed too",
-        where=Origin(file, grant.own.line),
-        help="move the edits into the policy, then replace the file with --force",
-        code="hand-edited",
-    )
+    message = "these permissions were edited by hand, and the policy changed too"
+    help_ = "move the edits into the policy, then replace the file with --force"
+    raise KeymintError(message, where=Origin(file, grant.own.line), help=help_, code="hand-edited")
 
 
 _EMPTY = b"    <identity/>\n"
@@ -160,12 +157,9 @@ def with_validity(
 
 
 def _has_own(name: str, path: str, duration: str) -> KeymintError:
-    return KeymintError(
-        "was edited by hand, so no validity is written into it",
-        where=Origin(f"{name}/{path}"),
-        help=f"write <validity> with <duration>{duration}</duration> into it",
-        code="hand-edited",
-    )
+    message = "was edited by hand, so no validity is written into it"
+    help_ = f"write <validity> with <duration>{duration}</duration> into it"
+    return KeymintError(message, where=Origin(f"{name}/{path}"), help=help_, code="hand-edited")
 
 
 _EFFECTS = {"allow_rule": Effect.ALLOW, "deny_rule": Effect.DENY}

@@ -104,12 +104,9 @@ def read(content: bytes, name: str, subject: str) -> WrittenGrant:
         old = next((each for each in found if each is not None), None)
         if old is None or "format" in root.attrib:
             raise
-    raise KeymintError(
-        "these permissions are in the format of 2018",
-        where=Origin(name, line(old)),
-        help=f"'keymint create {name_of(subject)}' recreates them from the policy",
-        code=OLD_FORMAT,
-    )
+    message = "these permissions are in the format of 2018"
+    help_ = f"'keymint create {name_of(subject)}' recreates them from the policy"
+    raise KeymintError(message, where=Origin(name, line(old)), help=help_, code=OLD_FORMAT)
 
 
 def _grant(root: etree._Element) -> WrittenGrant:

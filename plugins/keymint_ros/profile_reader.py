@@ -158,12 +158,9 @@ def load(root: Path, files: Mapping[str, bytes]) -> WorkspaceProfile:
             spec, issuer_named_at = certificate.complete(own, defaults, {"name": name})
             # Names must differ even on a file system that ignores case.
             if name.lower() in {other.lower() for other in authorities}:
-                raise KeymintError(
-                    f"there are two authorities named {name!r}",
-                    where=own.origin,
-                    help="give each its own name, different in more than case: it becomes the name of a file",
-                    code="authority-doubled",
-                )
+                message = f"there are two authorities named {name!r}"
+                help_ = "give each its own name, different in more than case: it becomes the name of a file"
+                raise KeymintError(message, where=own.origin, help=help_, code="authority-doubled")
             authorities[name] = Authority(name, replace(spec, issuer="" if spec.issuer == name else spec.issuer))
             issuers[name] = issuer_named_at
     for each, issuance in decisions.authority_issuance(files, str(root), authorities).items():
@@ -205,12 +202,9 @@ def _check_hierarchy(authorities: Mapping[str, Authority], issuers: Mapping[str,
             help_ = "leave <issuer_name> empty for a self-signed authority"
             known_authority(issuer, authorities, where, help_=help_)
             if issuer in chain:
-                raise KeymintError(
-                    f"authorities issue each other in a cycle: {' <- '.join([*chain, issuer])}",
-                    where=where,
-                    help="leave the <issuer_name> of the root authority empty",
-                    code="authority-cycle",
-                )
+                message = f"authorities issue each other in a cycle: {' <- '.join([*chain, issuer])}"
+                help_ = "leave the <issuer_name> of the root authority empty"
+                raise KeymintError(message, where=where, help=help_, code="authority-cycle")
             chain.append(issuer)
 
 
@@ -229,12 +223,9 @@ def with_policy(files: Mapping[str, bytes], policy: str) -> Mapping[str, bytes]:
     if not others and not more and present == policy:
         return {}
     if others or more or content != _as_written(present):
-        raise KeymintError(
-            f"not replacing the profile's policies by {policy!r}: they were edited by hand",
-            where=Origin(file, at),
-            help=f"write <profile_path>{policy}</profile_path> into this file, or create a new workspace",
-            code="policies-edited",
-        )
+        message = f"not replacing the profile's policies by {policy!r}: they were edited by hand"
+        help_ = f"write <profile_path>{policy}</profile_path> into this file, or create a new workspace"
+        raise KeymintError(message, where=Origin(file, at), help=help_, code="policies-edited")
     return {path[0]: bootstrap.policies(policy)}
 
 

@@ -34,13 +34,11 @@ def read(element: etree._Element | None) -> Validity | None:
     not_before = date(start)
     not_after = date(end) if end.tag == "not_after" else _sum(not_before, text(end) or "", place(end))
     if not_after <= not_before:
-        raise KeymintError(
+        message = (
             f"the validity ends at {not_after:%Y-%m-%dT%H:%M:%SZ}, which is not after its start at "
-            f"{not_before:%Y-%m-%dT%H:%M:%SZ}",
-            where=place(end),
-            help="give an end after the start",
-            code="validity-order",
+            f"{not_before:%Y-%m-%dT%H:%M:%SZ}"
         )
+        raise KeymintError(message, where=place(end), help="give an end after the start", code="validity-order")
     return Validity(not_before, not_after, place(end))
 
 
@@ -107,12 +105,9 @@ def date(element: etree._Element) -> datetime:
     except (ValueError, OverflowError):
         found = None
     if found is None or found.year not in _YEARS:
-        raise KeymintError(
-            f"{quote(content, _LONGEST)} is not a date between the years {_YEARS.start} and {_YEARS[-1]}",
-            where=place(element),
-            help="write e.g. 2026-01-31T00:00:00, which means UTC, or with a zone 2026-01-31T00:00:00+01:00",
-            code="date-invalid",
-        )
+        message = f"{quote(content, _LONGEST)} is not a date between the years {_YEARS.start} and {_YEARS[-1]}"
+        help_ = "write e.g. 2026-01-31T00:00:00, which means UTC, or with a zone 2026-01-31T00:00:00+01:00"
+        raise KeymintError(message, where=place(element), help=help_, code="date-invalid")
     return found.replace(microsecond=0)
 
 

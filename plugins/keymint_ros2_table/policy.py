@@ -153,10 +153,8 @@ class _PolicyMaker:
             )
         self.characters += len(text)
         if self.characters > _MOST_CHARACTERS:
-            raise KeymintError(
-                f"the expressions have more than the {_MOST_CHARACTERS:,} characters allowed", where=where,
-                code="table-limit",
-            )  # fmt: skip
+            message = f"the expressions have more than the {_MOST_CHARACTERS:,} characters allowed"
+            raise KeymintError(message, where=where, code="table-limit")
         try:
             pieces = attachments.parse(text)
         except ComArmorError as error:

@@ -96,12 +96,9 @@ def build_shared(packages: Sequence[Package], options: BuildOptions) -> BuildRes
 
 
 def _admits_nobody(router: Package) -> Diagnostic:
-    return Diagnostic.warning(
-        "zenoh-enclaves",
-        f"no package of a subject has the build type {BUILD_TYPE}, so the router gives nobody rights",
-        settings_of(router).router.origin,
-        f"write <build_type>{BUILD_TYPE}</build_type> in <export> of their keymint_package.xml", router.subject,
-    )  # fmt: skip
+    message = f"no package of a subject has the build type {BUILD_TYPE}, so the router gives nobody rights"
+    help_ = f"write <build_type>{BUILD_TYPE}</build_type> in <export> of their keymint_package.xml"
+    return Diagnostic.warning("zenoh-enclaves", message, settings_of(router).router.origin, help_, router.subject)
 
 
 def _differences(packages: Sequence[Package]) -> Iterator[Diagnostic]:

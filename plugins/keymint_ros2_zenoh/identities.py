@@ -103,12 +103,8 @@ def common_name(package: Package) -> str:
     for kind, value in distinguished_names.attributes(distinguished_names.parse(package.identity.subject_name, origin)):
         if kind == "CN":
             return value
-    raise KeymintError(
-        f"the subject name {package.identity.subject_name!r} has no common name, by which routers know a subject",
-        where=origin,
-        help="begin it with CN=",
-        code="zenoh-common-name",
-    )
+    message = f"the subject name {package.identity.subject_name!r} has no common name, by which routers know a subject"
+    raise KeymintError(message, where=origin, help="begin it with CN=", code="zenoh-common-name")
 
 
 def router_of(package: Package) -> Package:
@@ -121,12 +117,8 @@ def router_of(package: Package) -> Package:
     for other in (package, *package.infrastructure):
         if other.name == wanted.name:
             return other
-    raise KeymintError(
-        f"the workspace has no package of the router {wanted.name!r}",
-        where=wanted.origin,
-        help="'keymint create' creates it",
-        code="zenoh-router-missing",
-    )
+    message = f"the workspace has no package of the router {wanted.name!r}"
+    raise KeymintError(message, where=wanted.origin, help="'keymint create' creates it", code="zenoh-router-missing")
 
 
 def require_distinct_names(packages: Iterable[Package]) -> None:

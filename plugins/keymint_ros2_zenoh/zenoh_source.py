@@ -138,9 +138,5 @@ def _missing(path: str, where: Origin) -> Diagnostic:
 
 
 def _missing_file(file: str, where: Origin) -> KeymintError:
-    return KeymintError(
-        f"there is no file {quote(file, 200)} in the package or its profile",
-        where=where,
-        help=f"write it, for example: {_EXAMPLE}",
-        code="file-missing",
-    )
+    message = f"there is no file {quote(file, 200)} in the package or its profile"
+    return KeymintError(message, where=where, help=f"write it, for example: {_EXAMPLE}", code="file-missing")

@@ -115,9 +115,5 @@ def token_key(public: keys.PublicKey, sign: Sign, where: Origin | None = None) -
 
 def mismatch(where: Origin | None) -> KeymintError:
     """Return the error on a token that has another key than the one whose public key is known."""
-    return KeymintError(
-        "the token has another key than the certificate",
-        where=where,
-        help="name the certificate's key, or see 'keymint install --new-authority' for a new one",
-        code=MISMATCH,
-    )
+    help_ = "name the certificate's key, or see 'keymint install --new-authority' for a new one"
+    return KeymintError("the token has another key than the certificate", where=where, help=help_, code=MISMATCH)

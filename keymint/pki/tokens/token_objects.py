@@ -48,12 +48,8 @@ def public_of(session: Any, key: Any, where: Origin | None) -> keys.PublicKey:
         return rsa.RSAPublicNumbers(exponent, modulus).public_key()
     curve = _CURVES.get(bytes(key[Attribute.EC_PARAMS])) if key.key_type == KeyType.EC else None
     if curve is None:
-        raise KeymintError(
-            f"the token's key {key.label!r} is neither RSA nor EC on a known curve",
-            where=where,
-            help=f"known are {', '.join(keys.CURVES)}",
-            code="token-key-kind",
-        )
+        message = f"the token's key {key.label!r} is neither RSA nor EC on a known curve"
+        raise KeymintError(message, where=where, help=f"known are {', '.join(keys.CURVES)}", code="token-key-kind")
     beside = {Attribute.ID: key.id} if key.id else {Attribute.LABEL: key.label}
     for public in session.get_objects(
         {Attribute.CLASS: ObjectClass.PUBLIC_KEY, Attribute.KEY_TYPE: KeyType.EC, **beside}
@@ -62,12 +58,9 @@ def public_of(session: Any, key: Any, where: Origin | None) -> keys.PublicKey:
     for certificate in session.get_objects({Attribute.CLASS: ObjectClass.CERTIFICATE, **beside}):
         with contextlib.suppress(ValueError):
             return cast("keys.PublicKey", x509.load_der_x509_certificate(certificate[Attribute.VALUE]).public_key())
-    raise KeymintError(
-        f"the token has no public key beside the private key {key.label!r}",
-        where=where,
-        help="write it into the token with the same id: pkcs11-tool --write-object public.der --type pubkey --id …",
-        code="token-key-missing",
-    )
+    message = f"the token has no public key beside the private key {key.label!r}"
+    help_ = "write it into the token with the same id: pkcs11-tool --write-object public.der --type pubkey --id …"
+    raise KeymintError(message, where=where, help=help_, code="token-key-missing")
 
 
 def token_error(error: pkcs11.PKCS11Error, token: str, where: Origin | None) -> KeymintError:

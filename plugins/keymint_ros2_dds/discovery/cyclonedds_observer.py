@@ -222,11 +222,8 @@ class _Observer:
 def _checked(code: int, what: str) -> int:
     if code < 0:
         reason = _text(library().dds_strretcode(code)) or str(code)
-        raise KeymintError(
-            f"Cyclone DDS cannot {what}: {reason}",
-            help="look at CYCLONEDDS_URI and the network interfaces",
-            code="discovery-failed",
-        )
+        message = f"Cyclone DDS cannot {what}: {reason}"
+        raise KeymintError(message, help="look at CYCLONEDDS_URI and the network interfaces", code="discovery-failed")
     return code
 
 

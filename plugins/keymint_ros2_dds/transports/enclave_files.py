@@ -133,11 +133,9 @@ def refuse_unusable_key(enclave: InstalledEnclave) -> None:
             code="key-in-token",
         )
     if (enclave.folder / layout.KEY).is_file() and b"ENCRYPTED" in installed_file(enclave.folder / layout.KEY):
-        raise KeymintError(
-            f"the private key of {enclave.subject} is encrypted, and participants cannot be given the password",
-            help="ask implementations that need no key: -i omg -i cyclonedds-0.10 -i fastdds-2.9",
-            code="key-encrypted",
-        )
+        message = f"the private key of {enclave.subject} is encrypted, and participants cannot be given the password"
+        help_ = "ask implementations that need no key: -i omg -i cyclonedds-0.10 -i fastdds-2.9"
+        raise KeymintError(message, help=help_, code="key-encrypted")
 
 
 def raise_if_unread(error: KeymintError, folder: Path) -> None:

@@ -150,12 +150,9 @@ class _Reading:
         )
         missing = [key for key in _LISTS if members.get(key) is None]
         if control.enabled and missing:
-            raise KeymintError(
-                f"the access control has no {' and no '.join(missing)}",
-                where=control.where,
-                help="Zenoh refuses it at start: give all three lists",
-                code="zenoh-configuration",
-            )
+            message = f"the access control has no {' and no '.join(missing)}"
+            help_ = "Zenoh refuses it at start: give all three lists"
+            raise KeymintError(message, where=control.where, help=help_, code="zenoh-configuration")
         if defects := [*self._ids(control), *self._key_exprs(control)]:
             raise KeymintError.of(defects)
         return control

@@ -52,12 +52,9 @@ def check_distro(distro: str, where: Origin | None = None) -> None:
         KeymintError: it has none.
     """
     if distro not in DISTROS:
-        raise KeymintError(
-            f"ROS 2 {distro.capitalize()} has no rmw_zenoh, which this build type is for",
-            where=where,
-            help=did_you_mean(distro, DISTROS, f"use one of {', '.join(DISTROS)}, or the build type of DDS"),
-            code="zenoh-distro",
-        )
+        message = f"ROS 2 {distro.capitalize()} has no rmw_zenoh, which this build type is for"
+        help_ = did_you_mean(distro, DISTROS, f"use one of {', '.join(DISTROS)}, or the build type of DDS")
+        raise KeymintError(message, where=where, help=help_, code="zenoh-distro")
 
 
 class Place(StrEnum):
