@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Dataclasses that are made in a quarter of the time: a short run spends most of its time on imports, with 150 of them.
+"""Dataclasses that are made in a third of the time: a short run spends most of its time on imports, with 200 of them.
 
-:func:`dataclasses.dataclass` generates and compiles each method of each class. Here only ``__init__`` is generated,
-for a class with many objects; the other methods are functions over the values of the fields.
+:func:`dataclasses.dataclass` generates and compiles each method of each class, and a run makes no object of most of
+them. Here a class gets what it needs at the first use. Only ``__init__`` is generated, for a class with many objects;
+the other methods are functions over the values of the fields.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 import sys
 from collections.abc import Callable
+from dataclasses import MISSING, Field, field
 from functools import partial
 from operator import attrgetter
 from types import MemberDescriptorType
@@ -28,41 +30,85 @@ else:
 __all__ = ["dataclass"]
 _FEW = 50
 """Objects of a class that are made before its ``__init__`` is generated."""
+_DECLARED = "__declared__"
+"""Attribute of a class with its own fields: the type of each, and its default or :func:`dataclasses.field`."""
+_NOT_COPIED = {"__dict__", "__weakref__"}
+"""Names that belong to the class before it has slots."""
 
 
 def _made(given: type, *, frozen: bool = False, slots: bool = False, eq: bool = True, order: bool = False) -> Any:
-    if not given.__doc__:  # or the library inspects the signature to make one
-        given.__doc__ = given.__name__
-    annotations = given.__annotations__
-    # The library searches a text for names of its own, with regular expressions; only this one is used.
-    given.__annotations__ = {name: each if "ClassVar" in str(each) else None for name, each in annotations.items()}
-    cls: Any = dataclasses.dataclass(init=False, repr=False, eq=False, slots=slots)(given)
-    cls.__annotations__ = annotations
-    fields = dataclasses.fields(cls)
-    for field in fields:
-        field.type = annotations.get(field.name, field.type)
-    own = vars(given)
-    new: dict[str, Any] = {"__init__": _first_init(cls, fields, frozen=frozen), "__repr__": _repr}
-    if eq:
-        new |= _comparison(_values([field.name for field in fields if field.compare]), order=order)
+    declared = {name: each for name, each in given.__annotations__.items() if "ClassVar" not in str(each)}
+    own = {name: each for name, each in vars(given).items() if name not in declared and name not in _NOT_COPIED}
+    new: dict[str, Any] = {
+        **_ANY,
+        **(_EQUAL if eq else {}),
+        **(_ORDERED if order else {}),
+        **(_FROZEN if frozen else {}),
+    }
+    if eq and not frozen:
         new["__hash__"] = None
-    if frozen:
-        new |= {"__setattr__": _refuse, "__delattr__": _refuse, "__getstate__": _state, "__setstate__": _set_state}
-        if eq:
-            values = _values([field.name for field in fields if (field.compare if field.hash is None else field.hash)])
-            new["__hash__"] = lambda self: hash(values(self))
-    for name, method in new.items():
-        if own.get(name) is None:  # a class that defines __eq__ has a __hash__ of None
-            setattr(cls, name, method)
-    return cls
+    # A class that defines __eq__ has a __hash__ of None.
+    new |= {name: each for name, each in own.items() if each is not None or name not in new}
+    new[_DECLARED] = {name: (each, vars(given).get(name, MISSING)) for name, each in declared.items()}
+    if slots:
+        inherited = {name for base in given.__mro__[1:] for name in vars(base).get("__slots__", ())}
+        new["__slots__"] = tuple(name for name in declared if name not in inherited)
+    return type(given)(given.__name__, given.__bases__, new | {"__qualname__": given.__qualname__})
 
 
-def _first_init(cls: Any, fields: tuple[dataclasses.Field[Any], ...], *, frozen: bool) -> Callable[..., None]:
+class _AtFirstUse:
+    """An attribute of a class that is made when it is first asked for.
+
+    Args:
+        name: its name.
+        make: makes it for a class.
+    """
+
+    def __init__(self, name: str, make: Callable[[Any], Any]) -> None:
+        self._name = name
+        self._make = make
+
+    def __get__(self, given: object, owner: type) -> Any:
+        for cls in owner.__mro__:
+            if vars(cls).get(self._name) is self:
+                made = self._make(cls)
+                setattr(cls, self._name, made)
+                return made.__get__(given, owner) if callable(made) else made
+        return getattr(owner if given is None else given, self._name)  # another thread has made it
+
+
+def _declared(cls: type, part: int = 1) -> dict[str, Any]:
+    """Return a part of what a class and its bases declare of each field: 0 for the type, 1 for the default."""
+    bases = (vars(base).get(_DECLARED, {}) for base in reversed(cls.__mro__))
+    return {name: each[part] for declared in bases for name, each in declared.items()}
+
+
+def _fields(cls: type) -> dict[str, Field[Any]]:
+    """Return the fields of a class by name, those of its bases first; they do not know their names."""
+    defaults = _declared(cls).items()
+    return {name: each if isinstance(each, Field) else field(default=each) for name, each in defaults}
+
+
+def _known_fields(cls: type) -> dict[str, Field[Any]]:
+    """Return the fields as the library knows them: by it, and with their types."""
+    body = _fields(cls)
+    # It searches texts of types for names of its own, with regular expressions, and makes a text if there is none.
+    asked = type(cls.__name__, (), {"__doc__": cls.__name__, "__annotations__": dict.fromkeys(body), **body})
+    found = dataclasses.fields(dataclasses.dataclass(init=False, repr=False, eq=False)(asked))
+    types = _declared(cls, 0)
+    for each in found:
+        each.type = types[each.name]
+    return {each.name: each for each in found}
+
+
+def _first_init(cls: Any) -> Callable[..., None]:
     """Return a method that sets the fields of the first objects one by one, and then generates a quicker one.
 
     A run makes few objects of most classes, and generating a method costs as much as fifty of them.
     """
-    parameters = [field.name for field in fields if field.init]
+    declared = _declared(cls)
+    described = {name: each for name, each in declared.items() if isinstance(each, Field)}
+    parameters = [name for name in declared if name not in described or described[name].init]
     left = _FEW
 
     def __init__(self: Any, /, *arguments: Any, **named: Any) -> None:  # noqa: N807
@@ -72,7 +118,7 @@ def _first_init(cls: Any, fields: tuple[dataclasses.Field[Any], ...], *, frozen:
         values = defaults | {name: new() for name, new in factories.items() if name not in given} | given
         is_sound = len(given) == len(arguments) + len(named) and given.keys() <= known <= values.keys()
         if left < 0 or not is_sound:  # the generated method says what is wrong
-            cls.__init__ = _init(cls, fields, frozen=frozen)
+            cls.__init__ = _init(cls)
             cls.__init__(self, *arguments, **named)
             return
         for name, value in values.items():
@@ -80,30 +126,32 @@ def _first_init(cls: Any, fields: tuple[dataclasses.Field[Any], ...], *, frozen:
         if has_post_init:
             self.__post_init__()
 
-    absent = dataclasses.MISSING
     known = frozenset(parameters)
-    defaults = {field.name: field.default for field in fields if field.default is not absent}
-    factories = {field.name: field.default_factory for field in fields if field.default_factory is not absent}
+    defaults = declared | {name: each.default for name, each in described.items()}
+    defaults = {name: each for name, each in defaults.items() if each is not MISSING}
+    factories: dict[str, Any] = {name: each.default_factory for name, each in described.items()}
+    factories = {name: each for name, each in factories.items() if each is not MISSING}
     assign, has_post_init = object.__setattr__, hasattr(cls, "__post_init__")
     return __init__
 
 
-def _init(cls: Any, fields: tuple[dataclasses.Field[Any], ...], *, frozen: bool) -> Callable[..., None]:
+def _init(cls: Any) -> Callable[..., None]:
     """Return the method that sets the fields."""
-    known: dict[str, Any] = {"_set": object.__setattr__, "_missing": dataclasses.MISSING}
+    fields = _fields(cls)
+    known: dict[str, Any] = {"_set": object.__setattr__, "_missing": MISSING}
     parameters, body = ["self"], []
-    for field in fields:
-        name, value = field.name, field.name
-        if field.default_factory is not dataclasses.MISSING:
-            known[f"_new_{name}"] = field.default_factory
-            value = f"_new_{name}() if {name} is _missing else {name}" if field.init else f"_new_{name}()"
+    for name, each in fields.items():
+        value = name
+        if each.default_factory is not MISSING:
+            known[f"_new_{name}"] = each.default_factory
+            value = f"_new_{name}() if {name} is _missing else {name}" if each.init else f"_new_{name}()"
             default = "=_missing"
-        elif field.default is not dataclasses.MISSING:
-            known[f"_default_{name}"] = field.default
+        elif each.default is not MISSING:
+            known[f"_default_{name}"] = each.default
             default = f"=_default_{name}"
         else:
             default = ""
-        if field.init:
+        if each.init:
             parameters.append(f"{name}{default}")
         elif not default:
             continue
@@ -113,7 +161,7 @@ def _init(cls: Any, fields: tuple[dataclasses.Field[Any], ...], *, frozen: bool)
             known[f"_set_{name}"] = slot.__set__
             body.append(f"_set_{name}(self, {value})")
         else:
-            body.append(f"_set(self, {name!r}, {value})" if frozen else f"self.{name} = {value}")
+            body.append(f"_set(self, {name!r}, {value})")
     if hasattr(cls, "__post_init__"):
         body.append("self.__post_init__()")
     method = f" def __init__({', '.join(parameters)}):\n  " + "\n  ".join(body or ["pass"])
@@ -122,29 +170,39 @@ def _init(cls: Any, fields: tuple[dataclasses.Field[Any], ...], *, frozen: bool)
     exec(text, vars(sys.modules[cls.__module__]), made)  # noqa: S102 - has names of fields only
     init: Callable[..., None] = made["make"](**known)
     init.__qualname__ = f"{cls.__qualname__}.__init__"
-    init.__annotations__ = {field.name: field.type for field in fields if field.init}
+    types = _declared(cls, 0)
+    init.__annotations__ = {name: types[name] for name, each in fields.items() if each.init}
     return init
 
 
-def _values(names: list[str]) -> Callable[[Any], Any]:
-    """Return a function that returns the values of fields, as a tuple if there are several."""
+def _compared(cls: type, counts: Callable[[Field[Any]], bool] = attrgetter("compare")) -> Callable[[Any], Any]:
+    """Return a function that returns the values of the fields that count, as a tuple if there are several."""
+    names = [name for name, each in _declared(cls).items() if not isinstance(each, Field) or counts(each)]
     return attrgetter(*names) if names else lambda _self: ()
 
 
-def _comparison(values: Callable[[Any], Any], *, order: bool) -> dict[str, Any]:
-    """Return the methods that compare values of one class."""
+def _equal(cls: type) -> Callable[[Any, object], bool]:
+    values = _compared(cls)
+    return lambda self, other: values(self) == values(other) if other.__class__ is self.__class__ else NotImplemented
 
-    def equal(self: object, other: object) -> bool:
-        return values(self) == values(other) if other.__class__ is self.__class__ else NotImplemented
 
-    def less(self: object, other: object) -> bool:
-        return values(self) < values(other) if other.__class__ is self.__class__ else NotImplemented
+def _less(cls: type) -> Callable[[Any, object], bool]:
+    values = _compared(cls)
+    return lambda self, other: values(self) < values(other) if other.__class__ is self.__class__ else NotImplemented
 
-    def less_or_equal(self: object, other: object) -> bool:
-        return values(self) <= values(other) if other.__class__ is self.__class__ else NotImplemented
 
-    # Python asks the other operand for > and >=.
-    return {"__eq__": equal} | ({"__lt__": less, "__le__": less_or_equal} if order else {})
+def _less_or_equal(cls: type) -> Callable[[Any, object], bool]:
+    values = _compared(cls)
+    return lambda self, other: values(self) <= values(other) if other.__class__ is self.__class__ else NotImplemented
+
+
+def _hash(cls: type) -> Callable[[Any], int]:
+    values = _compared(cls, lambda each: each.compare if each.hash is None else each.hash)
+    return lambda self: hash(values(self))
+
+
+def _matched(cls: type) -> tuple[str, ...]:
+    return tuple(name for name, each in _declared(cls).items() if not isinstance(each, Field) or each.init)
 
 
 def _repr(self: Any) -> str:
@@ -158,9 +216,20 @@ def _refuse(self: object, name: str, _value: object = None) -> NoReturn:
 
 
 def _state(self: Any) -> list[Any]:
-    return [getattr(self, field.name) for field in dataclasses.fields(self)]
+    return [getattr(self, each.name) for each in dataclasses.fields(self)]
 
 
 def _set_state(self: Any, state: list[Any]) -> None:
-    for field, value in zip(dataclasses.fields(self), state, strict=True):
-        object.__setattr__(self, field.name, value)
+    for each, value in zip(dataclasses.fields(self), state, strict=True):
+        object.__setattr__(self, each.name, value)
+
+
+def _made_later(**makers: Callable[[Any], Any]) -> dict[str, Any]:
+    return {f"__{name}__": _AtFirstUse(f"__{name}__", make) for name, make in makers.items()}
+
+
+_ANY = {"__repr__": _repr} | _made_later(init=_first_init, match_args=_matched, dataclass_fields=_known_fields)
+_EQUAL = _made_later(eq=_equal, hash=_hash)
+_ORDERED = _made_later(lt=_less, le=_less_or_equal)  # Python asks the other operand for > and >=
+_FROZEN = {"__setattr__": _refuse, "__delattr__": _refuse, "__getstate__": _state, "__setstate__": _set_state}
+"""What a class gets, by the options of its decorator."""
