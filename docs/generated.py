@@ -33,7 +33,8 @@ EXAMPLE = FOLDER / "example"
 """The policy of the examples and its workspace, which has each kind of file; ``.ci/docs`` makes it."""
 NAMES = {"NAME": "robot1/camera", "AUTHORITY": "identity_ca", "PACKAGE": "demo_sensors"}
 """What stands for the names in the paths of :func:`folders` in that workspace."""
-ASPECTS = {"writer": "Written by", "edit": "May you edit it?", "secret": "Secret?", "delete": "May you delete it?"}
+ASPECTS = {"writer": "Written by", "edit": "May be edited", "secret": "Secret", "delete": "May be deleted"}
+_JUDGED = ("edit", "secret", "delete")
 File = Mapping[str, str]
 """What ``docs/reference/files.toml`` says of a file."""
 
@@ -172,12 +173,14 @@ def page_of(file: File) -> str:
 def files_page() -> str:
     """Return the page with every file of a workspace: what it is for, who writes it, and what you may do with it."""
     lines = ["# Files of a workspace", "", "Also those of a keystore and of the keystore of a robot.", ""]
-    titles = " | ".join(("File", "What it is", *ASPECTS.values()))
+    titles = " | ".join(("File", "What it is, and who writes it", *(ASPECTS[each] for each in _JUDGED)))
     for folder in folders():
-        lines += [f"## {folder['title']}", "", folder["text"], "", f"| {titles} |", "|---" * 6 + "|"]
+        lines += [f"## {folder['title']}", "", folder["text"], "", f"| {titles} |", "|---" * 5 + "|"]
         for each in folder["file"]:
-            name = f"[`{each['path']}`]({page_of(each)}.md)" if "schema" in each else code(each["path"])
-            lines.append(f"| {name} | {each['about']} | {' | '.join(each[aspect] for aspect in ASPECTS)} |")
+            shown = code(each["path"].removeprefix(folder.get("prefix", "")))
+            name = f"[{shown}]({page_of(each)}.md)" if "schema" in each else shown
+            judged = " | ".join(each[aspect] for aspect in _JUDGED)
+            lines.append(f"| {name} | {each['about']} Written by {each['writer']}. | {judged} |")
         lines.append("")
     return "\n".join(lines)
 
@@ -191,7 +194,7 @@ def file_page(file: File) -> str:
     path = SCHEMAS / f"{file['schema']}.xsd"
     example = example_of(file)
     defaults = values(EXAMPLE / "robot_ws" / file["defaults"]) if "defaults" in file else {}
-    facts_of_file = "\n".join(f"* **{title}** {file[each]}." for each, title in ASPECTS.items())
+    facts_of_file = "\n".join(f"* **{title}**: {file[each]}." for each, title in ASPECTS.items())
     lines = [f"# {file['path']}", "", file["about"], "", facts_of_file, ""]
     lines += ["## Example", "", "```xml", example, "```", "", "## Elements", ""]
     for each, occurs, value, meaning in Schema(path).rows():
