@@ -21,6 +21,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Self
 
+from tests import sros2_keystore
+
 CHECKOUT = Path(__file__).resolve().parent.parent
 HOME = "~"
 """What a page shows for the folder in which its reader begins."""
@@ -31,7 +33,11 @@ LONGEST = 240
 NOT_RUN = re.compile(r" {2,}# needs (ROS 2|the network|root|Docker)\b")
 """How a page marks a command that the suite cannot run."""
 
-STAND_INS: Mapping[str, Callable[[Path], object]] = {}
+STAND_INS: Mapping[str, Callable[[Path], object]] = {
+    "ros2 security generate_artifacts -k demo_keystore -p policy.xml": lambda folder: sros2_keystore.make(
+        folder / "demo_keystore", (folder / "policy.xml").read_text()
+    ),
+}
 """By a command that the suite cannot run, a function that does the same in the current folder."""
 
 _FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```$", re.DOTALL | re.MULTILINE)
@@ -41,11 +47,16 @@ _ENDED = "--ended--"
 _MASKS = (
     (re.compile(r"\b[0-9a-fA-F]{2}(:[0-9a-fA-F]{2}){7,}\b"), "HEX"),
     (re.compile(r"\b(?=[0-9a-f]*[a-f])(?=[0-9a-f]*[0-9])[0-9a-f]{8,}\b"), "HEX"),
+    (re.compile(r"\b(CN|OU) = "), r"\1="),
+    (re.compile(r"(?<=\S) {2,}"), "  "),
     (re.compile(r"\b[0-9]{12,}\b"), "NUMBER"),
     (re.compile(r"\b[0-9]+(\.[0-9]+)? (ms|s|seconds?)\b"), "TIME"),
     (re.compile(r"\b[Kk]eymint(,? version)? [0-9]+\.[0-9]+[0-9a-z.+]*"), "Keymint VERSION"),
 )
-"""What differs with key, speed or version: digests and serials, long numbers, durations, the version of Keymint."""
+"""What differs with key, speed or version.
+
+That is digests, serials, long numbers, durations, the version, the width of columns, and how OpenSSL writes names.
+"""
 
 
 @dataclass(frozen=True)

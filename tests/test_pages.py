@@ -119,6 +119,8 @@ def test_what_needs_ros_is_not_run_but_may_have_a_stand_in(tmp_path: Path) -> No
         ("serial 3fd1aa00bb, 2 of 3\n", "serial 99887766aa, 2 of 3\n", True),
         ("serial 3fd1aa00bb, 2 of 3\n", "serial 99887766aa, 3 of 3\n", False),
         ("digest 0f:1e:2d:3c:4b:5a:69:78\n", "digest AA:BB:CC:DD:EE:FF:00:11\n", True),
+        ("/a  0  99887766aa    in force\n", "/a  0  1f99887766aabb  in force\n", True),
+        ("OU = 3fd1aa00bb, CN = /a\n", "OU=99887766aa, CN=/a\n", True),
         ("12 files in 0.31 s\n", "12 files in 4 s\n", True),
         ("until 2027-11-20\n", "until 2027-11-21\n", False),
         ("from 2027-11-20 on\n", "from … on\n", True),

@@ -14,6 +14,7 @@ from keymint.errors import KeymintError
 from keymint.life import terms
 from keymint.life.package_issuance import place_of
 from keymint.life.terms import Term
+from keymint.life.workspace_register import register_of
 from keymint.names import name_of, subject_of
 from keymint.stages import identities
 from keymint.stages.documents import (
@@ -118,10 +119,11 @@ class BuildStage(PackageStage):
         return Plan((*steps, *steps_of(shared)), state_after(built.state, STAGE, shared), tuple(diagnostics))
 
     def _replaced_keys(self, planned: Sequence[PackagePlan]) -> Iterator[Diagnostic]:
-        """Yield a warning if packages get new keys in place of those that they have."""
+        """Yield a warning if packages get new keys in place of those that they have, and that were not revoked."""
         keys = self._session.workspace.identity_key
         asked = (each.name for each in planned if each.name in self._asked.rekey)
-        if names := [name for name in asked if self._session.tree.has_file(keys(name))]:
+        kept = (name for name in asked if self._session.tree.has_file(keys(name)))
+        if names := [name for name in kept if not register_of(self._session).withdrawn(name)]:
             message = f"{quantity(len(names), 'private key')} replaced: {', '.join(map(subject_of, names))}"
             ends = f"keymint revoke {names[0] if len(names) == 1 else 'NAME'} --reason superseded"
             help_ = (

@@ -246,6 +246,7 @@ class TestKeys:
         assert not (ws / "install/enclaves/talker").exists()
         outcome = keymint("renew", "--rekey", "talker", cwd=ws, env=at(DUE))
         assert outcome.code == 0, outcome.err
+        assert "'keymint revoke" not in outcome.err, "its former key was revoked before"
         assert certificate(ws, "talker").public_key() != stolen.public_key()
         assert certificate(ws, "talker").subject != stolen.subject
         assert keymint("check", cwd=ws, env=at(DUE)).code == 0
