@@ -13,7 +13,7 @@ from keymint.life.package_issuance import Revoking, plan_revocation
 from keymint.life.workspace_register import complete_register, register_of
 from keymint.names import subject_of
 from keymint.store.changes import Action, FolderChange, Plan, Step
-from keymint.workspace.installed_enclaves import EnclaveChanges, enclave_names, removal_step
+from keymint.workspace.installed_enclaves import EnclaveChanges, enclave_names, last_steps, removal_step
 from keymint.workspace.policy_loading import lazy_policy
 from keymint.workspace.session import Session
 from keymint.workspace.stored_keys import IDENTITY_KEYS
@@ -81,6 +81,7 @@ def plan_removal(session: Session, names: Sequence[str], *, deployed: bool) -> R
     revoking = plan_revocation(after, certified, REASON)
     changes = EnclaveChanges(removed=frozenset(names))
     rest = tuple(removal_step(session, name, changes) for name in installed if name not in certified)
+    rest += tuple(last_steps(session, changes))
     plan = gone.then(revoking.plan)
     return Revoking(plan.then(Plan(rest, plan.state)), revoking.certificates, (), (), revoking.diagnostics)
 

@@ -164,6 +164,7 @@ class InstallStage(PackageStage):
             require_sources(session)
             diagnostics += _still_good(session, removed)
             steps += [installed_enclaves.removal_step(session, name, changes) for name in removed]
+            steps += installed_enclaves.last_steps(session, changes)
             state = without_recorded_keys(state, IDENTITY_KEYS, removed)
         steps += installed_enclaves.obsolete_steps(session, copies, steps)
         return Plan(tuple(steps), state, tuple(diagnostics), _register(session, planned))

@@ -17,6 +17,7 @@ from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
 from keymint.api import Artifact, BuildType
 from keymint.errors import KeymintError
+from keymint.host.shells import MARK
 from keymint.names import ROOT, subject_of
 from keymint.pki import certificates
 from keymint.store.changes import Action, File, FolderChange, Step, file_mode, folder_changes
@@ -300,6 +301,20 @@ def obsolete_steps(session: Session, by_type: Iterable[Mapping[str, Artifact]], 
     gone = [Path(path) for path in sorted(strays) if path in former or tree.try_read(path) in contents]
     removed = tuple(FolderChange(path.parent, removed=(path.name,)) for path in gone)
     return [Step(INSTALLED, "", Action.REMOVED, removed, "shared by all enclaves before")] if removed else []
+
+
+def last_steps(session: Session, changes: EnclaveChanges) -> list[Step]:
+    """Return the step that removes what all enclaves share, and the scripts, if some changes leave no enclave."""
+    there, tree, install = enclave_names(session), session.tree, session.workspace.install
+    if not there or changes.changed or changes.kept(session):
+        return []
+    own = session.enclave(ROOT) if ROOT in there else None  # its files are removed with it
+    shared = {install / path for found in shared_copies(session, NO_CHANGES) for path in found}
+    scripts = {install / name for name, _ in tree.names(install) if name.startswith("keystore.")}
+    gone = [each for each in shared if tree.has_file(each) and each.parent != own]
+    gone += [each for each in scripts if (tree.try_read(each) or b"").startswith(MARK.encode())]
+    removed = tuple(FolderChange(path.parent, removed=(path.name,)) for path in sorted(gone))
+    return [Step(INSTALLED, "", Action.REMOVED, removed, "shared by all enclaves; none is left")]
 
 
 def shared_copies(session: Session, changes: EnclaveChanges) -> list[Mapping[str, Artifact]]:

@@ -138,6 +138,9 @@ def graph(
         made = made_of(run, drawn.loaded, session)
         below = choose_subjects(drawn.loaded.subjects(), (), namespaces) if namespaces else ()
         labelled = policy_graph(title or drawn.name, drawn, tuple(sorted({*named, *below})), everything=everything)
+        if session:  # nobody has a right that no transport of the workspace knows
+            kinds = {kind for each in session.build_types.values() for kind in each.KINDS}
+            labelled = replace(labelled, edges=tuple(each for each in labelled.edges if each.edge.object.kind in kinds))
     else:
         labelling = policy_at(policy) if policy is not None else None
         made = made_of(run, labelling.loaded if labelling else None, graph=read_input(run, source) if source else b"")

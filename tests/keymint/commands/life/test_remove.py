@@ -47,6 +47,25 @@ def test_all_of_a_package_goes(keymint: Callable, renamed: Path) -> None:
     assert keymint("check", cwd=renamed).code == 0
 
 
+@pytest.mark.parametrize("how", ["remove", "prune"])
+def test_the_last_enclaves_leave_nothing_behind(keymint: Callable, renamed: Path, how: str) -> None:
+    """What all enclaves share, and the scripts, were left, and ``check`` reported them."""
+    if how == "prune":
+        shutil.rmtree(renamed / "src/talker")
+        shutil.rmtree(renamed / "src/robot1")
+        outcome = keymint("install", "--prune", cwd=renamed)
+    else:
+        policy = renamed.parent / "policy.xml"
+        policy.write_text(policy.read_text().replace("<attachment>/robot1/listener<", "<attachment>/hearer<"))
+        assert keymint("remove", "/talker", cwd=renamed).code == 0
+        assert (renamed / "install/keystore.bash").exists()
+        outcome = keymint("remove", "/robot1/listener", cwd=renamed)
+    assert outcome.code in {0, 3}, outcome.err
+    assert "shared by all enclaves; none is left" in outcome.out
+    assert [path.name for path in (renamed / "install").rglob("*") if path.is_file()] == [".gitignore"]
+    assert "file-unexpected" not in keymint("check", "--json", cwd=renamed).codes()
+
+
 def test_a_package_that_comes_back_has_a_new_key_and_generation(keymint: Callable, renamed: Path) -> None:
     key = (renamed / "private/identities/talker/key.pem").read_bytes()
     policy = renamed.parent / "policy.xml"

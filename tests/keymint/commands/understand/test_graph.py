@@ -57,6 +57,15 @@ def test_the_policy_of_the_workspace(keymint, provisioned: Path) -> None:
     assert snapshot(provisioned) == before
 
 
+@pytest.mark.parametrize("transport", ["dds", "zenoh"])
+def test_rights_that_no_transport_of_the_workspace_has_are_not_drawn(keymint, policy: Path, transport: str) -> None:
+    """common/node.xml allows a raw topic of DDS."""
+    assert keymint("provision", policy, "-w", "ws", "--transport", transport, "--no-prove").code == 0
+    drawn = keymint("graph", "--common", "--format", "dot", "-w", "ws").out
+    assert ("ros_discovery_info" in drawn) == (transport == "dds")
+    assert "/rosout" in drawn
+
+
 def test_the_report_has_the_policy(keymint, policy: Path, tmp_path: Path) -> None:
     keymint("graph", policy.name, "-o", "out.html")
     text = (tmp_path / "out.html").read_text()
