@@ -60,6 +60,27 @@ def plan_init(inputs: Inputs, profile_type: str, request: api.Bootstrap) -> Plan
     return Plan((Step(INIT, "", Action.CREATED, tuple(changes), "workspace profile"),), inputs.state)
 
 
+def refuse_lost_profile(inputs: Inputs, distro: str | None) -> None:
+    """Refuse to make the profile of a workspace with packages again, unless its owner says for which distribution.
+
+    Args:
+        inputs: the workspace, whose profile is missing.
+        distro: the distribution that was given; None if the default would be taken.
+
+    Raises:
+        KeymintError: it is not given.
+    """
+    if inputs.state.stamps and distro is None:
+        marker = inputs.workspace.profile / PROFILE_MARKER
+        raise KeymintError(
+            "is missing, but the workspace has packages: it had the distribution, the transports and the layout",
+            where=inputs.workspace.origin(marker),
+            help="restore it from version control or a backup; or say what it had: --distro NAME, and --transport, "
+            "--layout, --domain and --valid-for unless these were the defaults",
+            code="profile-lost",
+        )
+
+
 def refuse_unsupported(session: Session) -> None:
     """Refuse a new profile that a build type of its packages cannot serve.
 

@@ -76,6 +76,7 @@ def provision(
             named = create.plan_policy(before, own)
             work, moved = Work(before).then(named), policy if named.writes() else None
         else:
+            create.refuse_lost_profile(inputs, profile.distro)
             work = Work.after(inputs, create.plan_init(inputs, profile.profile_type or DEFAULT_PROFILE_TYPE, bootstrap))
             create.refuse_unsupported(work.session)
         work = accept(work, acceptance)

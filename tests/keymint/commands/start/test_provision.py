@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import re
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -200,3 +201,20 @@ def test_an_authority_without_its_key_is_noted_each_time(keymint, policy: Path) 
         outcome = keymint("provision", policy, "-w", "ws")
         assert (outcome.code, outcome.out) == (0, "nothing to do: 2 packages up to date\n")
         assert "note: the private key of 'identity_ca' is not here" in outcome.err
+
+
+@pytest.mark.parametrize("verb", [("provision", "policy.xml", "-w", "ws"), ("init", "ws")], ids=" ".join)
+def test_a_lost_profile_is_not_made_again_with_defaults(
+    keymint: Callable, just_provisioned: Path, verb: tuple[str, ...]
+) -> None:
+    marker = just_provisioned / "profile/keymint_profile.xml"
+    marker.unlink()
+    before = snapshot(just_provisioned)
+    refused = keymint(*verb)
+    assert (refused.code, refused.err.count("\n")) == (1, 1)
+    assert refused.err.startswith("ws/profile/keymint_profile.xml: error: is missing, but the workspace has packages")
+    assert snapshot(just_provisioned) == before
+    assert keymint(*verb, "--distro", "jazzy").code == 0
+    assert keymint("provision", "policy.xml", "-w", "ws").code == 0
+    assert "<distro>jazzy</distro>" in marker.read_text()
+    assert keymint("check", "-w", "ws").code == 0
