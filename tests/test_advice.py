@@ -91,7 +91,7 @@ def wrong(text: str) -> Iterator[str]:
     ("text", "found"),
     [
         ("'keymint isntall' does it", ["no verb 'isntall'"]),
-        ("mint it with 'keymint install --renew'", ["no --renew of 'install'"]),
+        ("mint it with 'keymint install --renew'", ["no --renew of 'install'", "no --renew"]),
         ("mint it with --renow", ["no --renow"]),
         ("'keymint build --rekey X', or restore it", []),
         ("'keymint build -f X' discards it", []),
@@ -123,7 +123,7 @@ def test_no_advice_leaves_open_which_verb_replaces_or_removes_something() -> Non
     found = [
         f"{path.relative_to(CHECKOUT)}:{line}: {text}"
         for path, line, text in told()
-        if "commands" not in path.parts and "--renew is called" not in text and bare.search(COMMAND.sub("", text))
+        if "commands" not in path.parts and bare.search(COMMAND.sub("", text))
     ]
     assert found == []
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from datetime import timedelta
 from pathlib import Path
@@ -14,8 +15,11 @@ from comarmor.errors import Diagnostic
 from comarmor.regex import lazy_regex
 from comarmor.rules import PERMISSIONS, RAW_PREFIXES
 from comarmor.values import dataclass
+from keymint.api import GraphSource
+from keymint.api.plugin_loader import Plugins
 from keymint.command_line import named_packages
 from keymint.command_line.verb import FILE, argument, flag, option, option_group, path_option, plugin
+from keymint.errors import usage_error
 from keymint.life.terms import Threshold
 from keymint.names import RAW
 from keymint.stages.work import InstallRequest
@@ -47,6 +51,17 @@ def names_group(word: str = "NAME", *, required: bool = False, state: bool = Tru
 
 
 force_option = flag("-f", help="Replace an existing file with different content.")
+
+
+class Number(click.FloatRange):
+    """A number within a range. Refuses "nan", which passes every range check."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the number, or fail as click does."""
+        number: float = super().convert(value, param, ctx)
+        if math.isnan(number):
+            self.fail(f"{value!r} is not a number", param, ctx)
+        return number
 
 
 # -- policies outside of a workspace ---------------------------------------------------------------------------------
@@ -181,22 +196,13 @@ class DocumentOptions:
 document_options = option_group(DocumentOptions)
 
 
-def _refuse_renew(_context: click.Context, _parameter: click.Parameter, given: bool) -> None:
-    if given:
-        raise click.UsageError(
-            "--renew is called --rekey now: it replaces the private keys of packages that you name. 'keymint renew' "
-            "renews certificates, and keeps keys."
-        )
-
-
-former_renew_option = click.option("--renew", is_flag=True, hidden=True, expose_value=False, callback=_refuse_renew)
 prove_option = option(
     "--prove/--no-prove",
     default=True,
     show_default=True,
     help="Install only if each document is proven to permit exactly what the policy allows.",
 )
-standard_only_option = flag(
+standard_option = flag(
     help="Prove documents by the transport's standard only; for builds with --allow-vendor-specific."
 )
 strict_option = flag(help="Accept no exceptions: what a claim leaves out counts as not proven.")
@@ -272,3 +278,27 @@ implementation_option = plugin(
     multiple=True,
     help="Ask this implementation of a transport; may be repeated [all usable ones; 'keymint transports' lists them].",
 )
+
+
+# -- graphs of systems -------------------------------------------------------------------------------------------------
+
+
+def graph_source(plugins: Plugins, name: str | None, option: str) -> GraphSource:
+    """Return the graph source of a name; without a name the only installed one.
+
+    Args:
+        plugins: the installed plugins.
+        name: what the command line names, or None.
+        option: the option that names it, for the message.
+
+    Raises:
+        KeymintError: no name is given, and several graph sources are installed, or none; or it cannot be loaded.
+    """
+    if name is not None:
+        return plugins.graph_source(name)
+    installed = plugins.names("keymint.graph_sources")
+    if len(installed) == 1:
+        return plugins.graph_source(installed[0])
+    if not installed:
+        raise usage_error("no graph source is installed", "'keymint plugins' lists the installed plugins")
+    raise usage_error(f"several graph sources are installed: {', '.join(installed)}", f"choose one: {option} NAME")

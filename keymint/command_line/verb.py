@@ -11,7 +11,6 @@ from __future__ import annotations
 import copy
 import functools
 import inspect
-import math
 import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, replace
@@ -28,10 +27,9 @@ from comarmor.errors import Diagnostic
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint import SPACES
-from keymint.api import GraphSource
 from keymint.api.plugin_loader import Plugins
 from keymint.command_line.verb_group import VerbCommand, help_all
-from keymint.errors import KeymintError, usage_error
+from keymint.errors import KeymintError
 from keymint.output.console import COLOURS
 from keymint.output.report import Report, findings_exit, findings_if
 from keymint.run.run import Run, Setting
@@ -40,8 +38,8 @@ from keymint.workspace.shipped_profiles import UnacceptedPackagesError
 from keymint.workspace.workspace import PROFILE_MARKER
 
 __all__ = [
-    "FILE", "PATH", "Number", "OptionGroup", "Report", "Run", "Word", "argument", "findings_exit",
-    "findings_if", "flag", "graph_source", "option", "option_group", "parameters_of", "path_option", "plugin", "verb",
+    "FILE", "PATH", "OptionGroup", "Report", "Run", "Word", "argument", "findings_exit",
+    "findings_if", "flag", "option", "option_group", "parameters_of", "path_option", "plugin", "verb",
 ]  # fmt: skip
 Verb = Callable[..., Report]
 """The function of a verb; ``inspect.unwrap`` finds it below the callback of its click command."""
@@ -187,17 +185,6 @@ def _unaccepted_report(run: Run, error: UnacceptedPackagesError) -> Report:
 # -- its own parameters ----------------------------------------------------------------------------------------------
 
 
-class Number(click.FloatRange):
-    """A number within a range. Refuses "nan", which passes every range check."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Return the number, or fail as click does."""
-        number: float = super().convert(value, param, ctx)
-        if math.isnan(number):
-            self.fail(f"{value!r} is not a number", param, ctx)
-        return number
-
-
 class Word(click.types.StringParamType):
     """A text for which the shell is offered what exists; see :mod:`keymint.command_line.completion`.
 
@@ -324,27 +311,6 @@ def parameters_of(function: Callable[..., Any]) -> tuple[list[click.Parameter], 
 def _option(names: tuple[str, ...], settings: Mapping[str, Any], name: str) -> click.Option:
     long = () if any(each.startswith("--") for each in names) else (f"--{name.replace('_', '-')}",)
     return click.Option([name, *names, *long], **settings)
-
-
-def graph_source(plugins: Plugins, name: str | None, option: str) -> GraphSource:
-    """Return the graph source of a name; without a name the only installed one.
-
-    Args:
-        plugins: the installed plugins.
-        name: what the command line names, or None.
-        option: the option that names it, for the message.
-
-    Raises:
-        KeymintError: no name is given, and several graph sources are installed, or none; or it cannot be loaded.
-    """
-    if name is not None:
-        return plugins.graph_source(name)
-    installed = plugins.names("keymint.graph_sources")
-    if len(installed) == 1:
-        return plugins.graph_source(installed[0])
-    if not installed:
-        raise usage_error("no graph source is installed", "'keymint plugins' lists the installed plugins")
-    raise usage_error(f"several graph sources are installed: {', '.join(installed)}", f"choose one: {option} NAME")
 
 
 # -- the options of all verbs ----------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ import click
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import did_you_mean, quantity
 from keymint.command_line.named_files import write_outputs
-from keymint.command_line.options import Names, names_group, period, standard_only_option, strict_option
+from keymint.command_line.options import Names, names_group, period, standard_option, strict_option
 from keymint.command_line.verb import FILE, Report, Run, findings_if, flag, option, path_option, verb
 from keymint.errors import KeymintError, usage_error
 from keymint.examine.check import check as find
@@ -52,7 +52,7 @@ def check(
     within: timedelta = option(type=period, default="0d", metavar="PERIOD"),
     no_prove: bool = flag(),
     fresh: bool = flag(),
-    allow_vendor_specific: bool = standard_only_option,
+    allow_vendor_specific: bool = standard_option,
     strict: bool = strict_option,
     sarif: Path | None = path_option(kind=FILE),
     vendors: str | None = vendors_option,

@@ -13,8 +13,8 @@ import click
 from comarmor.errors import Diagnostic
 from comarmor.text import quantity
 from keymint.api import Claim, Counterexample, PolicyDecision, Proof, Verdict
-from keymint.command_line.options import Names, names_group, standard_only_option, strict_option, vendors_of_option
-from keymint.command_line.verb import Number, Report, Run, findings_exit, findings_if, option, verb
+from keymint.command_line.options import Names, Number, names_group, standard_option, strict_option, vendors_of_option
+from keymint.command_line.verb import Report, Run, findings_exit, findings_if, option, verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.examine import keystore
 from keymint.life import terms
@@ -39,7 +39,7 @@ def prove(
     names: Names = names_group("ENCLAVE"),
     seconds: float = option(type=Number(0), default=math.inf),
     states: int = option(type=click.IntRange(1), default=STATES, show_default=True, hidden=True),
-    allow_vendor_specific: bool = standard_only_option,
+    allow_vendor_specific: bool = standard_option,
     strict: bool = strict_option,
     distro: str | None = vendors_of_option,
 ) -> Report:

@@ -7,14 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin
+from keymint.authority import authority_changes as changes
 from keymint.authority.authorities import plan_authorities
-from keymint.authority.authority_changes import (
-    GivenAuthority,
-    plan_encryption,
-    plan_import,
-    plan_renewal,
-    refusing_implementations,
-)
 from keymint.command_line.named_files import read_input
 from keymint.command_line.options import authority_argument, flag_day_option
 from keymint.command_line.verb import FILE, Report, Run, argument, path_option, verb
@@ -30,13 +24,13 @@ REISSUED = "authority-reissued"
 """Code of the warning of :func:`keymint.authority.authorities.plan_authorities`, which knows no transport."""
 
 
-def given_authority(run: Run, certificate: Path, key: Path | None) -> GivenAuthority:
+def given_authority(run: Run, certificate: Path, key: Path | None) -> changes.GivenAuthority:
     """Read the certificate of an authority that was made elsewhere, and its key if it is given.
 
     Raises:
         KeymintError: a file cannot be read.
     """
-    given = GivenAuthority(read_input(run, certificate), Origin(str(certificate)))
+    given = changes.GivenAuthority(read_input(run, certificate), Origin(str(certificate)))
     return replace(given, key=read_input(run, key), key_file=Origin(str(key))) if key else given
 
 
@@ -55,7 +49,7 @@ def issued_again(run: Run, session: Session, first: Plan, name: str, *, flag_day
             the user did not accept.
     """
     asks = first.writes() and not flag_day and enclave_names(session)
-    if titles := refusing_implementations(session, name, (), "reissues") if asks else ():
+    if titles := changes.refusing_implementations(session, name, (), "reissues") if asks else ():
         raise KeymintError(
             f"a new certificate of {name!r} is a flag day: with {' and '.join(titles)}, subjects that have the old one "
             "and subjects that have the new one do not communicate",
@@ -89,7 +83,7 @@ def _told(plan: Plan, session: Session, name: str) -> Plan:
     plan = replace(plan, diagnostics=tuple(each for each in plan.diagnostics if each.code != REISSUED))
     if not plan.writes() or not enclave_names(session):
         return plan
-    titles = refusing_implementations(session, name, (), "reissues")
+    titles = changes.refusing_implementations(session, name, (), "reissues")
     where = session.workspace.origin(session.workspace.authority_certificate(name))
     if titles:
         message = f"the certificate of the authority {name!r} is reissued: all robots restart together"
@@ -108,7 +102,9 @@ def authority_renew(run: Run, name: str = authority_argument, flag_day: bool = f
     with the new one work together. If it signs documents, these are signed again, and vendors let subjects that hold
     different certificates of it not communicate: that needs --flag-day.
     """
-    return run.change(lambda session: issued_again(run, session, plan_renewal(session, name), name, flag_day=flag_day))
+    return run.change(
+        lambda session: issued_again(run, session, changes.plan_renewal(session, name), name, flag_day=flag_day)
+    )
 
 
 @verb(dry_run=True, of="authority")
@@ -130,7 +126,7 @@ def authority_import(
     """
     given = given_authority(run, certificate, key_file)
     return run.change(
-        lambda session: issued_again(run, session, plan_import(session, name, given), name, flag_day=flag_day)
+        lambda session: issued_again(run, session, changes.plan_import(session, name, given), name, flag_day=flag_day)
     )
 
 
@@ -141,4 +137,4 @@ def authority_encrypt(run: Run, name: str = authority_argument) -> Report:
     The key stays the same, so no enclave changes. The password comes from the environment variable that the profile
     names. Backups and copies keep the plain key: delete them, or replace the key with 'keymint authority replace'.
     """
-    return run.change(lambda session: plan_encryption(session, name))
+    return run.change(lambda session: changes.plan_encryption(session, name))

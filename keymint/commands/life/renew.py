@@ -14,18 +14,9 @@ from keymint.command_line.agreement import confirmed_plan
 from keymint.command_line.options import Names, names_group, prove_option, threshold
 from keymint.command_line.verb import Report, Run, findings_if, flag, option, verb
 from keymint.errors import KeymintError, UnconfirmedError
+from keymint.life import renewal_schedule
 from keymint.life.package_issuance import plan_issuance
-from keymint.life.renewal_schedule import (
-    PERMISSIONS,
-    AuthorityDue,
-    Due,
-    Schedule,
-    enclave_terms,
-    installed_terms,
-    list_end,
-    renewal_issuance,
-    schedule,
-)
+from keymint.life.renewal_schedule import AuthorityDue, Due, Schedule, installed_terms, schedule
 from keymint.life.terms import Threshold, iso_time
 from keymint.life.workspace_register import with_enclaves
 from keymint.names import subject_list, subject_of
@@ -152,7 +143,7 @@ def _renewal(
     rows = [
         {
             **_document(each, "subject"),
-            "until": min((term.last for term in enclave_terms(after, each.name)), default=None),
+            "until": min((term.last for term in renewal_schedule.enclave_terms(after, each.name)), default=None),
             "key_elsewhere": bool(session.issuance(each.name).public_key),
         }
         for each in due.enclaves
@@ -210,10 +201,10 @@ def _waiting(
 
 def _issued_again(run: Run, session: Session, due: Schedule, names: Sequence[str], *, rekey: bool, prove: bool) -> Plan:
     """Plan new certificates and permissions of some packages, and the revocation lists that are due."""
-    decided = {name: renewal_issuance(session, name) for name in names}
+    decided = {name: renewal_schedule.renewal_issuance(session, name) for name in names}
     begins = {name: new for name, new in decided.items() if rekey or new != session.issuance(name)}
     first = plan_issuance(session, run.verb, begins)
-    ends = [list_end(session, each) for each in due.lists]
+    ends = [renewal_schedule.list_end(session, each) for each in due.lists]
     request = Request(
         names,
         options=InstallRequest(prove=prove, rekey=frozenset(names if rekey else ())),
@@ -291,7 +282,7 @@ def _lines(
 def _why(due: Mapping[str, Any]) -> str:
     if due["why"] is None or due["due"] is None:
         return "as you asked"
-    verb = "end" if due["why"] == PERMISSIONS else "ends"
+    verb = "end" if due["why"] == renewal_schedule.PERMISSIONS else "ends"
     return f"its {due['why']} {verb} on {_date(due['ends'])}, so it was due from {_date(due['due'])} on"
 
 

@@ -13,7 +13,7 @@ from comarmor.errors import Diagnostic, Origin
 from comarmor.text import did_you_mean
 from keymint.analysis.lint.attachment_mistakes import attachment_mistakes
 from keymint.api import BuildOptions, Hint, LoadedPolicy
-from keymint.command_line.options import DocumentOptions, Names, document_options, former_renew_option, names_group
+from keymint.command_line.options import DocumentOptions, Names, document_options, names_group
 from keymint.command_line.verb import Report, Run, flag, verb
 from keymint.errors import KeymintError, usage_error
 from keymint.names import subject_of
@@ -27,7 +27,6 @@ from keymint.workspace.session import Session
 
 
 @verb(jobs=True, dry_run=True, yes=True)
-@former_renew_option
 def build(
     run: Run,
     names: Names = names_group(),

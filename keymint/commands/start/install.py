@@ -9,7 +9,7 @@ import click
 
 from comarmor.errors import Diagnostic
 from keymint.command_line.agreement import confirmed_plan
-from keymint.command_line.options import Names, install_request, names_group, standard_only_option
+from keymint.command_line.options import Names, install_request, names_group, standard_option
 from keymint.command_line.verb import Report, Run, findings_exit, verb
 from keymint.commands.start.build import no_packages
 from keymint.errors import ExitCode
@@ -26,7 +26,7 @@ from keymint.workspace.session import Session
 def install(
     run: Run,
     names: Names = names_group(),
-    request: InstallRequest = install_request(allow_vendor_specific=standard_only_option),
+    request: InstallRequest = install_request(allow_vendor_specific=standard_option),
 ) -> Report:
     """Sign the documents in build/ and stage them in install/, one complete enclave per subject.
 

@@ -11,14 +11,7 @@ from comarmor.errors import Diagnostic, Origin
 from keymint.analysis.subject_patterns import rules_of
 from keymint.api import LoadedPolicy
 from keymint.authority.authority_files import elsewhere
-from keymint.command_line.options import (
-    DEFAULT_PROFILE_TYPE,
-    DocumentOptions,
-    Names,
-    document_options,
-    former_renew_option,
-    install_request,
-)
+from keymint.command_line.options import DEFAULT_PROFILE_TYPE, DocumentOptions, Names, document_options, install_request
 from keymint.command_line.verb import PATH, Report, Run, argument, flag, option, option_group, verb
 from keymint.commands.start.build import build_options, policy_slips, unknown_hints
 from keymint.commands.start.create import AcceptanceOptions, accept, acceptance_options
@@ -39,7 +32,6 @@ _SHOWN = frozenset({"node-cannot-start", "parameter-client-cannot-start", "autho
 
 
 @verb(jobs=True, dry_run=True, yes=True, former={"trust_package": "--accept-package"})
-@former_renew_option
 def provision(
     run: Run,
     policy: Path = argument(type=PATH),

@@ -16,21 +16,8 @@ from keymint.api import graph_json
 from keymint.api.graph import EdgeOutcome, Graph
 from keymint.command_line.named_files import deliver, made_of, read_input, source_files
 from keymint.command_line.named_policies import Policies, library_rules, workspace_library_rules
-from keymint.command_line.options import PolicyOptions, policy_options
-from keymint.command_line.verb import (
-    PATH,
-    Number,
-    Report,
-    Run,
-    argument,
-    flag,
-    graph_source,
-    option,
-    option_group,
-    path_option,
-    plugin,
-    verb,
-)
+from keymint.command_line.options import Number, PolicyOptions, graph_source, policy_options
+from keymint.command_line.verb import PATH, Report, Run, argument, flag, option, option_group, path_option, plugin, verb
 from keymint.drawing.appearance import Theme
 from keymint.drawing.captions import left_out_json, left_out_words
 from keymint.drawing.labelled_graph import (

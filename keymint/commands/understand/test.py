@@ -12,8 +12,8 @@ from keymint.analysis.policy_tests import ExpectationChecker, ExpectationResult,
 from keymint.api import Expectation
 from keymint.command_line.named_files import write_outputs
 from keymint.command_line.named_policies import Policies
-from keymint.command_line.options import PolicyOptions, policy_options
-from keymint.command_line.verb import FILE, PATH, Number, Report, Run, argument, findings_if, option, path_option, verb
+from keymint.command_line.options import Number, PolicyOptions, policy_options
+from keymint.command_line.verb import FILE, PATH, Report, Run, argument, findings_if, option, path_option, verb
 from keymint.errors import KeymintError
 from keymint.ir import Rule
 from keymint.output.junit import JUnitCase

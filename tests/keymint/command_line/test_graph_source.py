@@ -7,7 +7,7 @@ import pytest
 from keymint_ros2_dds.discovery import DdsGraphs
 
 from keymint.api.plugin_loader import PluginInfo, Plugins
-from keymint.command_line.verb import graph_source
+from keymint.command_line.options import graph_source
 from keymint.errors import ExitCode, KeymintError
 
 ONE, OTHER = DdsGraphs(), DdsGraphs()

@@ -9,7 +9,8 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from keymint.command_line.verb import Number, OptionGroup, flag, option, option_group, parameters_of
+from keymint.command_line.options import Number
+from keymint.command_line.verb import OptionGroup, flag, option, option_group, parameters_of
 from keymint.errors import ExitCode, usage_error
 
 

@@ -209,7 +209,7 @@ MISTAKES = [
     Mistake(36, "renew NAME on the day of issue", same, "renew camera -w ws", "", 0,
         "/camera: nothing to renew: a new certificate would have the same dates", WHOLE, DONE),
     Mistake(37, "provision --renew in place of renew", same, "provision robot.xml -w ws --renew", "usage", 2,
-        "--renew is called --rekey", USAGE, "'keymint renew' renews certificates, and keeps keys"),
+        "No such option '--renew'", USAGE, "--rekey for new private keys of packages that you name, or 'keymint renew"),
     Mistake(38, "the workspace moved", lambda at: (at / "ws").rename(at / "moved"), "check -w moved", "", 0,
         "no findings", WHOLE, DONE),
     Mistake(38, ".keymint/ deleted", remove("ws/.keymint"), "check -w ws", "", 0, "no findings", WHOLE, DONE),
