@@ -11,9 +11,11 @@ background is at least 4.5 to 1 for text and 3 to 1 for lines (WCAG 2.2, 1.4.3 a
 from __future__ import annotations
 
 import re
+import tomllib
 import unicodedata
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from enum import StrEnum
+from importlib import resources
 from itertools import accumulate
 
 from comarmor.regex import lazy_regex
@@ -116,32 +118,8 @@ class Theme(StrEnum):
     DARK = "dark"
 
 
-_COLOURS: Mapping[str, tuple[str, str]] = {
-    "background": ("#ffffff", "#11161c"),
-    "text": ("#1c2126", "#e6edf3"),
-    "muted": ("#57606a", "#9aa4af"),
-    "rule": ("#d0d7de", "#39424d"),
-    "subject-fill": ("#d9f2dc", "#143a1b"),
-    "subject": ("#23762f", "#5fc46b"),
-    "ros_topic-fill": ("#dbe9fd", "#122f57"),
-    "ros_topic": ("#1f5fae", "#6fa8ff"),
-    "ros_service-fill": ("#ecdcf9", "#38204f"),
-    "ros_service": ("#7a35a8", "#c58af5"),
-    "ros_action-fill": ("#fde8cc", "#46300f"),
-    "ros_action": ("#9a5200", "#f2b25c"),
-    "ros_parameter-fill": ("#fbdce9", "#4a1c34"),
-    "ros_parameter": ("#a8326a", "#f28cb5"),
-    "topic-fill": ("#d3f1f2", "#0d3a3e"),
-    "topic": ("#0b6a72", "#5cd0d8"),
-    "allow": ("#1a7f37", "#4fc36b"),
-    "deny": ("#cf222e", "#ff7069"),
-    "danger": ("#a40026", "#ff5c7c"),
-    "hazard": ("#ffd33d", "#5c4a00"),
-    "plain": ("#57606a", "#9aa4af"),
-    "audit": ("#9a6700", "#e3b341"),
-}
-"""On light and on dark backgrounds."""
-LIGHT, DARK = ({name: pair[at] for name, pair in _COLOURS.items()} for at in (0, 1))
+_COLOURS = resources.files(__package__).joinpath("templates", "colours.toml").read_text(encoding="utf-8")
+LIGHT, DARK = tomllib.loads(_COLOURS).values()
 KIND_NAMES = ("subject", *KINDS)
 
 FONTS = "'DejaVu Sans Mono','Liberation Mono',Menlo,Consolas,'Noto Sans Mono',monospace"

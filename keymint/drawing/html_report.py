@@ -17,14 +17,14 @@ from typing import Any
 from markupsafe import Markup
 
 from comarmor.errors import citation
-from comarmor.text import one_line
+from comarmor.text import encodable_value, one_line
 from keymint.api.graph import DomainObject, EdgeOutcome
-from keymint.drawing.appearance import KINDS, OUTCOMES, Theme, object_name
+from keymint.drawing.appearance import DARK, KIND_NAMES, KINDS, LIGHT, OUTCOMES, Theme, object_name
 from keymint.drawing.captions import left_out_words, size_words
 from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph
 from keymint.drawing.layout import NodeKey
 from keymint.drawing.simplify import EXPLICIT, DrawingOptions, priority, simplify
-from keymint.drawing.svg import draw, environment, style_sheet
+from keymint.drawing.svg import draw, rendered, style_sheet
 
 MOST_ROWS = 10_000
 """Maximum number of edges in a report; false labels and explicit denials are listed beyond it. Next are allowed edges.
@@ -40,17 +40,11 @@ def html_report(labelled: LabelledGraph, sources: Mapping[str, bytes], picture: 
         picture: drawing options of its picture; the theme follows the reader's preference.
     """
     page = _Page(labelled, tuple(sources), picture or DrawingOptions())
-    style = template_text("report.css") + style_sheet(Theme.AUTO)
-    script = template_text("report.js")
     rows = page.rows()
     counts = labelled.counts
     missing = labelled.left_out(listed_edges(labelled))
     context = {
         "title": one_line(labelled.title),
-        "style": Markup(style),  # noqa: S704 - ours
-        "script": Markup(script),  # noqa: S704 - ours
-        "policy": f"default-src 'none'; style-src {policy_source(style)}; script-src {policy_source(script)}; "
-        "base-uri 'none'; form-action 'none'",
         "size": size_words(labelled),
         "made": [one_line(text) for text in labelled.made],
         "verdicts": [
@@ -74,17 +68,39 @@ def html_report(labelled: LabelledGraph, sources: Mapping[str, bytes], picture: 
             for at, (name, content) in enumerate(sources.items())
         ],
     }
-    return environment().get_template("report.html.j2").render(context).encode()
+    return _page("report.html.j2", context, style_sheet(Theme.AUTO), _template_text("report.js"))
 
 
-def template_text(name: str) -> str:
-    """Return the text of a style sheet or a script."""
+def audit_page(document: Mapping[str, Any]) -> bytes:
+    """Return the page of ``keymint report``, which has no script, in UTF-8.
+
+    Args:
+        document: the report; ``docs/json.md`` describes it.
+    """
+    return _page("audit.html.j2", _printable(encodable_value(document)), _template_text("audit.css"))
+
+
+def _printable(value: Any) -> Any:
+    """Return a value with every text in it on one line, without characters that hide or reorder others."""
+    if isinstance(value, str):
+        return one_line(value)
+    if isinstance(value, Mapping):
+        return {one_line(key): _printable(item) for key, item in value.items()}
+    return [*map(_printable, value)] if isinstance(value, Sequence) else value
+
+
+def _page(template: str, context: Mapping[str, Any], style: str, script: str = "") -> bytes:
+    """Return a page with the common style sheet, and with a style sheet and perhaps a script of its own."""
+    own = {"style": rendered("report.css.j2", kinds=KIND_NAMES, light=LIGHT, dark=DARK) + style, "script": script}
+    digests = {name: base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for name, text in own.items()}
+    sources = "".join(f"{name}-src 'sha256-{digest}'; " for name, digest in digests.items() if own[name])
+    policy = f"default-src 'none'; {sources}base-uri 'none'; form-action 'none'"
+    markup = {name: Markup(text) for name, text in own.items()}  # noqa: S704 - ours
+    return rendered(template, policy=policy, **markup, **context).encode()
+
+
+def _template_text(name: str) -> str:
     return resources.files(__package__).joinpath("templates", name).read_text(encoding="utf-8")
-
-
-def policy_source(text: str) -> str:
-    """Return how a content security policy names a style sheet or a script of the page: by its digest."""
-    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
 
 
 def _lines(content: bytes) -> Iterator[str]:

@@ -96,8 +96,12 @@ def _breakable(name: str) -> Markup:
 def style_sheet(theme: Theme) -> str:
     """Return the style sheet of a picture; renderers without media queries can read it, too."""
     palettes = {Theme.AUTO: (LIGHT, DARK), Theme.LIGHT: (LIGHT,), Theme.DARK: (DARK,)}[theme]
-    template = environment().get_template("picture.css.j2")
-    return template.render(fonts=FONTS, kinds=KIND_NAMES, palettes=palettes)
+    return rendered("picture.css.j2", fonts=FONTS, kinds=KIND_NAMES, palettes=palettes)
+
+
+def rendered(template: str, **context: object) -> str:
+    """Return a template filled in; texts are escaped."""
+    return environment().get_template(template).render(context)
 
 
 def svg(labelled: LabelledGraph, options: DrawingOptions | None = None) -> bytes:
@@ -139,8 +143,8 @@ def draw(drawn: SimplifiedGraph, number: NodeNumber | None = None) -> str:
         """Return when a line is drawn: the most important ones last, above the others."""
         return 0 if drawn.matrices else -priority(line.labelled, options.transport)
 
-    template = environment().get_template("picture.svg.j2")
-    return template.render(
+    return rendered(
+        "picture.svg.j2",
         title=one_line(labelled.title),
         heading=shorten(one_line(labelled.title), int(width / (CHARACTER * 15 / 12))),
         subtitle=caption,

@@ -35,7 +35,7 @@ from keymint.commands.assure.status import status
 from keymint.commands.life.authority_show import authority_show
 from keymint.commands.life.issued import issued_certificates
 from keymint.commands.understand.query import legal_expression
-from keymint.drawing.audit_page import audit_page
+from keymint.drawing.html_report import audit_page
 from keymint.errors import KeymintError, usage_error
 from keymint.examine.authorities import EXPOSURES
 from keymint.examine.report_signer import report_signer
