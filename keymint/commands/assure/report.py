@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import inspect
 import json
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import replace
 from datetime import timedelta
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -27,8 +27,8 @@ from keymint.analysis.symbolic_search import STATES, QueryBudget
 from keymint.api import LoadedPolicy
 from keymint.command_line.named_files import made_of, told_written, write_outputs
 from keymint.command_line.named_policies import Policies, workspace_library_rules
-from keymint.command_line.options import Names, PolicyOptions, period
-from keymint.command_line.verb import FILE, Report, Run, findings_if, option, path_option, verb
+from keymint.command_line.options import PolicyOptions, period
+from keymint.command_line.verb import FILE, Report, Run, findings_if, option, parameters_of, path_option, verb
 from keymint.commands.assure.check import advisories, check, vendors_option
 from keymint.commands.assure.prove import prove
 from keymint.commands.assure.status import status
@@ -44,12 +44,10 @@ from keymint.output.audit_rights import MOST, reach_json, rights_json
 from keymint.output.differences import differences_json
 from keymint.output.report import diagnostic_json, merged_diagnostics
 from keymint.pki import certificates, cms
-from keymint.stages.proof.proof_results import STATES as STATES_OF_PROOFS
 from keymint.workspace.policy_loading import load_policy
 from keymint.workspace.session import Session
 
 _UNREAD = frozenset({"not-examined", "git-unknown"})
-_NO_NAMES = Names(())
 _T = TypeVar("_T")
 
 
@@ -151,13 +149,14 @@ class _Evidence:
             rights = rights_json(policy, safety, workspace_library_rules(session), run.typed)
             reach, left = reach_json(policy, rights, run.typed)
         made = dict(line.split(" sha256 ") for line in made_of(run, policy, session)[1:])
-        shown = {"kind": "table", "strict": False, "names": _NO_NAMES}
-        checked = self._of("check", "checked", _function(check), **_CHECK_OPTIONS, vendors=vendors)
-        proofs = self._of("prove", "", _function(prove), **_PROVE_OPTIONS)
-        packages = self._of("status", "packages", _function(status), log=False, **shown)
-        runs = self._of("runs", "runs", _function(status), log=True, **shown)
+        # The proof and what ends soon are parts of their own.
+        versions = () if vendors is None else (f"--vendors={vendors}",)
+        checked = self._of("check", "checked", _called(check, "--no-prove", "--without-private", *versions))
+        proofs = self._of("prove", "", _called(prove))
+        packages = self._of("status", "packages", _called(status))
+        runs = self._of("runs", "runs", _called(status, "--log"))
         issued = self._of("issued", "certificates", self._issued)
-        authorities = self._of("authorities", "authorities", _function(authority_show), names=())
+        authorities = self._of("authorities", "authorities", _called(authority_show))
         changes = since and policy and self._known("changes", lambda: self._changes(since, policy))
         if policy is None:  # then 'prove' has a result without claims
             proofs = None
@@ -199,9 +198,9 @@ class _Evidence:
             self._unknown[part] = "; ".join(each.message for each in found)
             return None
 
-    def _of(self, part: str, member: str, make: Callable[..., Report], **options: Any) -> Any:
+    def _of(self, part: str, member: str, make: Callable[[Run], Report]) -> Any:
         """Return a member of the result of a verb, or all of it, and keep what the verb found; None if it failed."""
-        made = self._known(part, lambda: make(_Part(self._run, self._session, part), **options))
+        made = self._known(part, lambda: make(_Part(self._run, self._session, part)))
         self._findings += made.diagnostics if made else ()
         return made and (made.result[member] if member else made.result)
 
@@ -212,7 +211,7 @@ class _Evidence:
             message, help_ = "you may not read the register of certificates", "run this as the owner of private/"
             where = self._session.workspace.origin(register)
             raise KeymintError(message, where=where, help=help_, code="not-examined")
-        return _function(issued_certificates)(part, names=_NO_NAMES, revoked=False, tolerate=False)
+        return _called(issued_certificates)(part)
 
     def _changes(self, since: str, policy: LoadedPolicy) -> Mapping[str, Any]:
         """Return what ``diff`` reports since a revision or a time, of the workspace or of a policy in a repository."""
@@ -266,22 +265,18 @@ def _exposed(findings: Sequence[Diagnostic], revoked: Sequence[Mapping[str, Any]
     return [{"whose": whose, "why": why, "help": help_} for whose, why, help_ in found]
 
 
-def _function(command: click.Command) -> Callable[..., Report]:
-    """Return the function of a verb."""
-    return cast("Callable[..., Report]", inspect.unwrap(cast("Callable[..., Any]", command.callback)))
+def _called(command: click.Command, *words: str) -> Callable[[Run], Report]:
+    """Return the function of a verb with the options that a command line gives."""
+    function = inspect.unwrap(cast("Callable[..., Any]", command.callback))
+    parameters, groups = parameters_of(function)
+    values = command.make_context(command.name, [*words]).params
+    options = {str(each.name): values[str(each.name)] for each in parameters}
+    options |= {name: group.taken(options) for name, group in groups.items()}
+    return partial(function, **options)
 
 
 _SHORTEST_REVISION = 4
 """Git takes no shorter abbreviation of a commit, so that ``12h`` is never one."""
-_CHECK_OPTIONS: Mapping[str, Any] = {
-    "names": _NO_NAMES, "within": timedelta(0), "no_prove": True, "fresh": False, "allow_vendor_specific": False,
-    "strict": False, "sarif": None, "without_private": True,
-}  # fmt: skip
-"""The proof is the part of ``prove``, and what ends soon is a part of its own."""
-_PROVE_OPTIONS: Mapping[str, Any] = {
-    "names": _NO_NAMES, "seconds": math.inf, "states": STATES_OF_PROOFS, "allow_vendor_specific": False,
-    "strict": False, "distro": None,
-}  # fmt: skip
 
 
 def _unasked(since: str | None, vendors: str | None, left: int) -> Iterator[str]:
