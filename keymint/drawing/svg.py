@@ -71,8 +71,13 @@ NodeNumber = Callable[[NodeKey], int]
 
 @cache
 def environment() -> Environment:
-    """Return the template environment, with autoescape."""
+    """Return the template environment; every text that it prints is escaped, and one line of printable characters."""
     from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 - slow, only for pictures
+    from markupsafe import Markup  # noqa: PLC0415 - as above
+
+    def breakable(name: str) -> Markup:
+        """Return a name as HTML in which lines can break only after ``/`` and ``_``."""
+        return Markup("<wbr>").join(re.split("(?<=[^/_][/_])(?=[^/_])", one_line(name), flags=re.DOTALL))
 
     templates = Environment(
         loader=PackageLoader("keymint.drawing"),
@@ -81,16 +86,10 @@ def environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
+        finalize=lambda value: one_line(value) if type(value) is str else value,
     )
-    templates.filters |= {"breakable": _breakable, "px": _number}
+    templates.filters |= {"breakable": breakable, "lines": Markup("\n").join, "px": _number}
     return templates
-
-
-def _breakable(name: str) -> Markup:
-    """Return a name as HTML in which lines can break only after ``/`` and ``_``."""
-    from markupsafe import Markup  # noqa: PLC0415 - slow, only for pages
-
-    return Markup("<wbr>").join(re.split("(?<=[^/_][/_])(?=[^/_])", name, flags=re.DOTALL))
 
 
 def style_sheet(theme: Theme) -> str:
@@ -215,17 +214,18 @@ def _box(box: NodeBox, drawn: SimplifiedGraph, number: NodeNumber | None) -> dic
     key, labelled = box.key, drawn.labelled
     members = [*chain.from_iterable(drawn.members[key])]
     shown = [one_line(one) if isinstance(one, str) else object_name(one[1], one[0]) for one in members[:_MOST_NAMES]]
-    title = "\n".join(shown) + (f"\nand {len(members) - len(shown)} more" if len(members) > len(shown) else "")
+    shown += [f"and {len(members) - len(shown)} more"] * (len(members) > len(shown))
     if not isinstance(key, str) and len(members) == 1:
-        title += f" ({KINDS[box.kind]})"
+        shown[-1] += f" ({KINDS[box.kind]})"
     pattern = not isinstance(key, str) and key[1] in labelled.patterns
     probe = not isinstance(key, str) and key[1] in labelled.probes
+    shown[-1] += ", an expression of the policy" * pattern + ", a name made up to probe a pattern" * probe
     alike = len(drawn.members[key][0]) > 1
     return {
         "box": box,
         "classes": f"box {box.kind}" + " pattern" * pattern + " probe" * probe + " alike" * alike,
-        "title": title + ", an expression of the policy" * pattern + ", a name made up to probe a pattern" * probe,
-        "mark_title": "\n".join(sentence(one, labelled.transports) for one in drawn.marks.get(key, ())),
+        "title": shown,
+        "mark_title": [sentence(one, labelled.transports) for one in drawn.marks.get(key, ())],
         "numbers": _numbers(drawn.members[key], number),
     }
 
