@@ -136,7 +136,6 @@ def draw(drawn: SimplifiedGraph, number: NodeNumber | None = None) -> str:
     bottom = panel_top + sheet_height + MARGIN
     made = [line for text in labelled.made for line in textwrap.wrap(one_line(text), int(width / CHARACTER))]
     left = MARGIN + (max(0.0, width - sheet_width) / 2)
-    shape = _edge if drawn.matrices else _line
 
     def rank(line: EdgeLine) -> int:
         """Return when a line is drawn: the most important ones last, above the others."""
@@ -163,7 +162,7 @@ def draw(drawn: SimplifiedGraph, number: NodeNumber | None = None) -> str:
                 "heading": panel.heading,
                 "x": left + x,
                 "y": panel_top + y + heading,
-                "edges": [shape(line, drawn, number) for line in sorted(panel.lines, key=rank)],
+                "edges": [_edge(line, drawn, number) for line in sorted(panel.lines, key=rank)],
                 "boxes": [_box(box, drawn, number) for box in panel.boxes],
                 "width": panel.width,
             }
@@ -231,63 +230,33 @@ def _box(box: NodeBox, drawn: SimplifiedGraph, number: NodeNumber | None) -> dic
 
 
 def _edge(line: EdgeLine, drawn: SimplifiedGraph, number: NodeNumber | None) -> dict[str, object]:
-    """Return the sign of an edge, and what a line has in common with it."""
+    """Return an edge with what a picture shows of it; the head of an arrow is a step to the tip, to the left if < 0."""
     one, transports = line.labelled, drawn.labelled.transports
     more = len(drawn.stands[one]) - 1
     outcome = one.outcome(drawn.options.transport)
+    outward, inward = directions(one.edge.permission)
+    head = math.copysign(_HEAD * (1.25 if outcome.false else 1.0), line.x2 - line.x1)
+    start, end = line.x1 + (head if inward else 0.0), line.x2 - (head if outward else 0.0)
     return {
         "line": line,
         "outcome": outcome,
         "classes": edge_classes(outcome, labels=bool(transports)),
         "title": sentence(one, transports) + (f", and {more} more that it stands for" if more else ""),
         "audit": one.audit,
-        "danger": outcome is EdgeOutcome.FALSE_POSITIVE,
         "subject": _numbers(drawn.members[one.edge.subject], number),
         "object": _numbers(drawn.members[one.edge.domain_object], number),
         "letter": SIGNS[role(one.edge.permission)],
-        "barred": outcome in {EdgeOutcome.DENY, EdgeOutcome.FALSE_NEGATIVE},
-    }
-
-
-def _line(line: EdgeLine, drawn: SimplifiedGraph, number: NodeNumber | None) -> dict[str, object]:
-    outcome = line.labelled.outcome(drawn.options.transport)
-    size = _HEAD * (1.25 if outcome.false else 1.0)
-    outward, inward = directions(line.labelled.edge.permission)
-    forward = math.copysign(1.0, line.x2 - line.x1)
-    start = line.x1 + (size * forward if inward else 0.0)
-    end = line.x2 - (size * forward if outward else 0.0)
-    bend = _BEND * (end - start)
-    curve = f"M{_number(start)} {_number(line.y1)}C{_number(start + bend)} {_number(line.y1)} "
-    curve += f"{_number(end - bend)} {_number(line.y2)} {_number(end)} {_number(line.y2)}"
-    barred = outcome in {EdgeOutcome.DENY, EdgeOutcome.FALSE_NEGATIVE}
-    heads = []
-    if outward:
-        heads.append(_head(line.x2, line.y2, forward * size, barred=barred))
-    if inward:
-        heads.append(_head(line.x1, line.y1, -forward * size, barred=barred))
-    return {
-        **_edge(line, drawn, number),
-        "curve": curve,
-        "heads": "".join(heads),
-        "dot_x": start + (end - start) * _DOT_ACROSS,
-        "dot_y": line.y1 + (line.y2 - line.y1) * _DOT_DOWN,
-        "middle_x": (start + end) / 2,
-        "middle_y": (line.y1 + line.y2) / 2,
+        "start": start,
+        "end": end,
+        "bend": _BEND * (end - start),
+        "heads": [(line.x2, line.y2, head)] * outward + [(line.x1, line.y1, -head)] * inward,
+        "dot": (start + (end - start) * _DOT_ACROSS, line.y1 + (line.y2 - line.y1) * _DOT_DOWN),
     }
 
 
 def _numbers(members: Members, number: NodeNumber | None) -> str | None:
     """Return the page's numbers of the members of a box."""
     return " ".join(str(number(key)) for key in chain.from_iterable(members)) if number else None
-
-
-def _head(x: float, y: float, size: float, *, barred: bool) -> str:
-    """Return an arrowhead with its tip at (x, y); ``size`` is its length, negative if it points left."""
-    half = abs(size) * 0.45
-    head = f"M{_number(x)} {_number(y)}l{_number(-size)} {_number(-half)}v{_number(2 * half)}z"
-    if barred:
-        head += f"M{_number(x - 1.45 * size)} {_number(y - half)}v{_number(2 * half)}"
-    return head
 
 
 def _number(value: float) -> str:
