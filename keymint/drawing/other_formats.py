@@ -6,17 +6,15 @@ PNG is converted from SVG with resvg, an optional dependency: a wheel without sy
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
-from comarmor.text import one_line
-from keymint.api.graph import EdgeOutcome
 from keymint.api.plugin_loader import how_to_add
 from keymint.drawing.appearance import FONTS, LIGHT, directions, edge_classes, sentence
 from keymint.drawing.captions import marks_of, names_of, subtitle
-from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph
+from keymint.drawing.labelled_graph import LabelledGraph
 from keymint.drawing.layout import NodeKey
 from keymint.drawing.simplify import DrawingOptions, SimplifiedGraph, simplify
+from keymint.drawing.svg import rendered
 from keymint.errors import KeymintError
 
 
@@ -27,55 +25,24 @@ def dot_simplified(labelled: LabelledGraph, options: DrawingOptions) -> Simplifi
 
 def dot_document(drawn: SimplifiedGraph) -> bytes:
     """Return a DOT document in UTF-8 with what :func:`dot_simplified` returns."""
-    labelled, options, edges = drawn.labelled, drawn.options, drawn.stands
-    names, marks = names_of(drawn), marks_of(drawn)
-    named = labelled.patterns | labelled.probes
+    labelled = drawn.labelled
     caption = "\n".join((labelled.title, subtitle(drawn).replace("; ", "\n"), *labelled.made))
-    title = r"\n".join(map(_escaped, caption.split("\n")))
     nodes: dict[NodeKey, str] = {subject: f"s{at}" for at, subject in enumerate(drawn.fold.subjects)}
-    nodes |= {key: f"o{at}" for at, key in enumerate(sorted({one.edge.domain_object for one in edges}))}
-
-    def node(key: NodeKey) -> str:
-        kind = "subject" if isinstance(key, str) else key[1].kind
-        label = _escaped(names[key] + (f" ({marks[key]})" if key in marks else ""))
-        shape = "ellipse" if kind == "subject" else "box"
-        style = ', style="filled,dashed"' if not isinstance(key, str) and key[1] in named else ""
-        return f'label="{label}", shape={shape}, fillcolor="{LIGHT[f"{kind}-fill"]}", color="{LIGHT[kind]}"{style}'
-
-    lines = [
-        "digraph keymint {",
-        f'  graph [rankdir=LR, label="{title}", labelloc=t, fontname=monospace]',
-        "  node [style=filled, fontname=monospace]",
-        *(f"  {at} [{node(key)}]" for key, at in nodes.items()),
-        *(
-            f"  {nodes[one.edge.subject]} -> {nodes[one.edge.domain_object]} [{_attributes(one, labelled, options)}]"
-            for one in edges
-        ),
-        "}",
-    ]
-    return ("\n".join(lines) + "\n").encode()
-
-
-def _escaped(text: str) -> str:
-    r"""Return the inside of a quoted string of DOT; an unescaped ``\`` starts an escape in a label."""
-    return one_line(text).replace("\\", "\\\\").replace('"', '\\"')
-
-
-def _attributes(one: LabelledEdge, labelled: LabelledGraph, options: DrawingOptions) -> str:
-    outcome = one.outcome(options.transport)
-    out, into = directions(one.edge.permission)
-    verdict = edge_classes(outcome, labels=False).partition(" ")[0]
-    attributes: Mapping[str, str] = {
-        "dir": "both" if out and into else "forward" if out else "back",
-        "color": LIGHT[verdict],
-        "style": "solid" if outcome.false or not labelled.transports else "dashed",
-        "penwidth": "4" if outcome is EdgeOutcome.FALSE_POSITIVE else "3" if outcome.false else "1",
-        "arrowhead": "normal" if verdict != "deny" else "teeempty",
-        "arrowtail": "normal" if verdict != "deny" else "teeempty",
-        "label": " ".join(["DANGER"] * (outcome is EdgeOutcome.FALSE_POSITIVE) + ["AUDIT"] * one.audit),
-        "tooltip": sentence(one, labelled.transports),
-    }
-    return ", ".join(f'{name}="{_escaped(value)}"' for name, value in attributes.items() if value)
+    nodes |= {key: f"o{at}" for at, key in enumerate(sorted({one.edge.domain_object for one in drawn.stands}))}
+    return rendered(
+        "picture.dot.j2",
+        drawn=drawn,
+        transports=labelled.transports,
+        caption=caption.split("\n"),
+        nodes=nodes,
+        names=names_of(drawn),
+        marks=marks_of(drawn),
+        unreal=labelled.patterns | labelled.probes,
+        light=LIGHT,
+        directions=directions,
+        edge_classes=edge_classes,
+        sentence=sentence,
+    ).encode()
 
 
 MOST_PIXELS = 100_000_000

@@ -88,7 +88,12 @@ def environment() -> Environment:
         keep_trailing_newline=True,
         finalize=lambda value: one_line(value) if type(value) is str else value,
     )
-    templates.filters |= {"breakable": breakable, "lines": Markup("\n").join, "px": _number}
+
+    def dot(text: str) -> Markup:
+        r"""Return the inside of a quoted string of DOT; an unescaped ``\` starts an escape in a label."""
+        return Markup(one_line(text).replace("\\", "\\\\").replace('"', '\\"'))  # noqa: S704 - it is no HTML
+
+    templates.filters |= {"breakable": breakable, "dot": dot, "lines": Markup("\n").join, "px": _number}
     return templates
 
 
