@@ -24,7 +24,7 @@ from keymint.drawing.captions import left_out_words, size_words
 from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph
 from keymint.drawing.layout import NodeKey
 from keymint.drawing.simplify import EXPLICIT, DrawingOptions, priority, simplify
-from keymint.drawing.svg import draw, rendered, style_sheet
+from keymint.drawing.svg import draw, from_template, style_sheet
 
 MOST_ROWS = 10_000
 """Maximum number of edges in a report; false labels and explicit denials are listed beyond it. Next are allowed edges.
@@ -91,12 +91,12 @@ def audit_page(document: Mapping[str, Any]) -> bytes:
 
 def _page(template: str, context: Mapping[str, Any], style: str, script: str = "") -> bytes:
     """Return a page with the common style sheet, and with a style sheet and perhaps a script of its own."""
-    own = {"style": rendered("report.css.j2", kinds=KIND_NAMES, light=LIGHT, dark=DARK) + style, "script": script}
+    own = {"style": from_template("report.css.j2", kinds=KIND_NAMES, light=LIGHT, dark=DARK) + style, "script": script}
     digests = {name: base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for name, text in own.items()}
     sources = "".join(f"{name}-src 'sha256-{digest}'; " for name, digest in digests.items() if own[name])
     policy = f"default-src 'none'; {sources}base-uri 'none'; form-action 'none'"
     markup = {name: Markup(text) for name, text in own.items()}  # noqa: S704 - ours
-    return rendered(template, policy=policy, **markup, **context).encode()
+    return from_template(template, policy=policy, **markup, **context).encode()
 
 
 def _template_text(name: str) -> str:

@@ -14,7 +14,7 @@ from keymint.drawing.captions import marks_of, names_of, subtitle
 from keymint.drawing.labelled_graph import LabelledGraph
 from keymint.drawing.layout import NodeKey
 from keymint.drawing.simplify import DrawingOptions, SimplifiedGraph, simplify
-from keymint.drawing.svg import rendered
+from keymint.drawing.svg import from_template
 from keymint.errors import KeymintError
 
 
@@ -29,7 +29,7 @@ def dot_document(drawn: SimplifiedGraph) -> bytes:
     caption = "\n".join((labelled.title, subtitle(drawn).replace("; ", "\n"), *labelled.made))
     nodes: dict[NodeKey, str] = {subject: f"s{at}" for at, subject in enumerate(drawn.fold.subjects)}
     nodes |= {key: f"o{at}" for at, key in enumerate(sorted({one.edge.domain_object for one in drawn.stands}))}
-    return rendered(
+    return from_template(
         "picture.dot.j2",
         drawn=drawn,
         transports=labelled.transports,

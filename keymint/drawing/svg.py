@@ -100,10 +100,10 @@ def environment() -> Environment:
 def style_sheet(theme: Theme) -> str:
     """Return the style sheet of a picture; renderers without media queries can read it, too."""
     palettes = {Theme.AUTO: (LIGHT, DARK), Theme.LIGHT: (LIGHT,), Theme.DARK: (DARK,)}[theme]
-    return rendered("picture.css.j2", fonts=FONTS, kinds=KIND_NAMES, palettes=palettes)
+    return from_template("picture.css.j2", fonts=FONTS, kinds=KIND_NAMES, palettes=palettes)
 
 
-def rendered(template: str, **context: object) -> str:
+def from_template(template: str, **context: object) -> str:
     """Return a template filled in; texts are escaped."""
     return environment().get_template(template).render(context)
 
@@ -146,7 +146,7 @@ def draw(drawn: SimplifiedGraph, number: NodeNumber | None = None) -> str:
         """Return when a line is drawn: the most important ones last, above the others."""
         return 0 if drawn.matrices else -priority(line.labelled, options.transport)
 
-    return rendered(
+    return from_template(
         "picture.svg.j2",
         title=one_line(labelled.title),
         heading=shorten(one_line(labelled.title), int(width / (CHARACTER * 15 / 12))),
