@@ -26,6 +26,8 @@ myst_enable_extensions = ["colon_fence", "deflist", "fieldlist"]
 html_theme = "furo"
 html_title = f"Keymint {release}"
 html_copy_source = False
+html_static_path = ["static"]
+html_css_files = ["site.css"]
 highlight_language = "none"
 smartquotes = False
 autodoc_member_order = "bysource"
@@ -36,8 +38,19 @@ napoleon_use_ivar = True
 suppress_warnings = ["misc.highlighting_failure"]
 
 
+BELOW = {"docs/adr/README": "0*", "examples/README": "*/README"}
+"""Pages that list others in a table, and which ones. The sidebar needs the list as Sphinx writes it."""
+
+
+def with_pages_below(_app: Sphinx, page: str, source: list[str]) -> None:
+    """Put the pages that a page lists below it in the sidebar."""
+    if page in BELOW:
+        source[0] += f"\n```{{toctree}}\n:hidden:\n:glob:\n\n{BELOW[page]}\n```\n"
+
+
 def setup(app: Sphinx) -> None:
     """Leave out the signatures of data types: their attributes say more than a generated method."""
+    app.connect("source-read", with_pages_below)
     app.connect(
         "autodoc-process-signature", lambda _app, _what, _name, _object, _options, arguments, returns: (
             ("", returns) if arguments == "(*arguments, **named)" else None

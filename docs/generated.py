@@ -120,7 +120,8 @@ def verb_page(name: str, command: click.Command) -> str:
 
 def option_table(parameters: Iterable[click.Parameter], context: click.Context) -> list[str]:
     """Return the lines of a table of options with their meaning; arguments have none."""
-    rows = [row for each in parameters if (row := each.get_help_record(context))]
+    options = (each for each in parameters if isinstance(each, click.Option))
+    rows = [row for each in options if (row := each.get_help_record(context))]
     return ["| option | meaning |", "|---|---|", *(f"| {code(form)} | {cell(meaning)} |" for form, meaning in rows)]
 
 
