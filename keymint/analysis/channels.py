@@ -16,7 +16,7 @@ from itertools import product
 
 from comarmor.errors import Origin
 from comarmor.patterns.decision_lists import DecisionList, Equal, Witness
-from comarmor.patterns.glob import EVERYTHING, Glob, literal
+from comarmor.patterns.glob import EVERYTHING, Glob, literal, parse
 from comarmor.patterns.relations import TooComplexError, covers, intersection
 from comarmor.rules import Effect
 from comarmor.values import dataclass
@@ -97,6 +97,7 @@ class ChannelSearch:
         self._is_common = common
         self._listed = cache(lambda subject, key: decision_list(rules_of(policy, subject), key))
         self._common = cache(self._common_patterns)
+        self._lists = cache(self._lists_within)
 
     def path(self, sources: Sequence[str], targets: Sequence[str]) -> list[Channel] | None:
         """Return a shortest path of channels from one of the sources to one of the targets, or None.
@@ -122,6 +123,35 @@ class ChannelSearch:
                 reached[other].add(source)
                 queue.append((source, other, [*path, channel]))
         return None
+
+    def possible_path(
+        self, writers: Glob, readers: Glob, sources: Sequence[str], targets: Sequence[str]
+    ) -> list[Channel] | None:
+        """Return a possible path whose ends are subjects that the policy does not name; None if there is provably none.
+
+        Subjects in between are those that the policy names.
+
+        Args:
+            writers: pattern of the subjects where it begins.
+            readers: pattern of the subjects where it ends.
+            sources: subjects of the first pattern from which :meth:`path` finds none.
+            targets: those of the second one.
+        """
+        if literal(writers) is not None and literal(readers) is not None:
+            return None
+        if direct := next(self.possible(writers, readers), None):
+            return [direct]
+        named = {each: parse(each) for each in self._policy.subjects()}
+        first = {each: step for each, one in named.items() if (step := next(self.possible(writers, one), None))}
+        last = {each: step for each, one in named.items() if (step := next(self.possible(one, readers), None))}
+        if middle := next((each for each in first if each in last), None):
+            return [first[middle], last[middle]]
+        path = self.path([*sources, *first], [*targets, *last])
+        if path is None:
+            return None
+        begin, end = path[0].writer, path[-1].reader
+        before = [first[begin]] if begin not in sources else []
+        return [*before, *path, *([last[end]] if end not in targets else [])]
 
     def between(self, writer: str, reader: str) -> Iterator[Channel]:
         """Yield channels from one subject to another, at most one for each expression of the writer's rules."""
@@ -166,8 +196,7 @@ class ChannelSearch:
             return
         for send, receive in FLOWS:
             try:
-                sent = [one for piece in intersection(writers, EVERY) for one in _at_most(written, piece, send)]
-                received = [one for piece in intersection(readers, EVERY) for one in _at_most(written, piece, receive)]
+                sent, received = self._lists(writers, send), self._lists(readers, receive)
             except TooComplexError:
                 yield Channel(pattern_text(writers), pattern_text(readers), send[0], (send[1], receive[1]), "")
                 continue
@@ -181,6 +210,13 @@ class ChannelSearch:
                 channel = _channel(pattern_text(subject), pattern_text(other), send, receive, *lists)
                 if channel and can_exist(subject) and can_exist(other):
                     yield channel
+
+    def _lists_within(self, within: Glob, key: PermissionKey) -> list[tuple[Glob, DecisionList]]:
+        """Return patterns of the subjects that match a pattern, each with what any of them may do at most."""
+        written, subject = self._policy.structure(), literal(within)
+        if subject is not None or written is None:
+            return [(within, self._listed(subject or "", key))]
+        return [one for piece in intersection(within, EVERY) for one in _at_most(written, piece, key)]
 
     def _common_patterns(self, subject: str, key: PermissionKey) -> tuple[Glob, ...]:
         """Return the patterns that rules for every node allow to a subject."""

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -273,3 +274,59 @@ def test_a_changed_library_is_no_infrastructure(keymint, tmp_path: Path) -> None
     outcome = keymint("query", "ws", "isolated", "/a", "/b")
     assert outcome.code == 3
     assert "by topic anything" in outcome.out
+
+
+UNNAMED = """<profiles>
+  <profile name="all">
+    <attachment>/x/*</attachment>
+    <ros_topic qualifier="ALLOW"><attachment>/a</attachment><permissions><ros_publish/></permissions></ros_topic>
+  </profile>
+  <profile name="one">
+    <attachment>/x/one</attachment>
+    <ros_topic qualifier="DENY"><attachment>/a</attachment><permissions><ros_publish/></permissions></ros_topic>
+  </profile>
+  <profile name="hub">
+    <attachment>/hub</attachment>
+    <ros_topic qualifier="ALLOW"><attachment>/a</attachment><permissions><ros_subscribe/></permissions></ros_topic>
+    <ros_topic qualifier="ALLOW"><attachment>/b</attachment><permissions><ros_publish/></permissions></ros_topic>
+  </profile>
+  <profile name="end">
+    <attachment>/end</attachment>
+    <ros_topic qualifier="ALLOW"><attachment>/b</attachment><permissions><ros_subscribe/></permissions></ros_topic>
+  </profile>
+  <profile name="robots">
+    <attachment>/robot*</attachment>
+    <ros_topic qualifier="ALLOW">
+      <attachment>/r</attachment>
+      <permissions><ros_publish/><ros_subscribe/></permissions>
+    </ros_topic>
+  </profile>
+</profiles>
+"""
+
+
+@pytest.mark.parametrize(
+    ("question", "answer", "steps"),
+    [
+        ("flows /robot* /robot*", "unknown", [("/robot*", "/robot*")]),
+        ("flows /robot1 /robot2", "yes", []),
+        ("flows /robot* /x/*", "no", []),
+        ("flows /x/* /hub", "unknown", [("/x/*", "/hub")]),
+        ("flows /x/* /end", "unknown", [("/x/*", "/hub"), ("/hub", "/end")]),
+        ("flows /x/one /end", "no", []),
+        ("flows /end /x/*", "no", []),
+        ("what can /x/* do", "unknown", []),
+        ("what can /x/one do", "no", []),
+        ("what can /en* do", "yes", []),
+    ],
+)
+def test_subjects_without_a_name_are_not_forgotten(
+    keymint: Callable, tmp_path: Path, question: str, answer: str, steps: list[tuple[str, str]]
+) -> None:
+    """The answer was no, as only the subjects that the policy names were asked."""
+    (tmp_path / "unnamed.xml").write_text(UNNAMED)
+    outcome = keymint("query", "unnamed.xml", *question.split(), "--json")
+    result = outcome.document["result"]
+    assert (result["answer"], outcome.code) == (answer, 3 if answer == "unknown" else 0)
+    assert [(each["writer"], each["reader"]) for each in result.get("perhaps", ())] == steps
+    assert ("unknown: no" in keymint("query", "unnamed.xml", *question.split()).out) == (answer == "unknown")
