@@ -20,6 +20,7 @@ from keymint.command_line.options import DEFAULT_PROFILE_TYPE, PolicyOptions, po
 from keymint.command_line.verb import Word
 from keymint.errors import KeymintError
 from keymint.names import subject_of
+from keymint.output.explanations import explanations
 from keymint.run.run import Run, Setting
 from keymint.view.tree import Tree
 from keymint.workspace.workspace import packages
@@ -111,6 +112,7 @@ _VALUES: Mapping[str, Callable[[Run, click.Context], Iterable[str]]] = {
     "vendors": lambda run, _: (f"{name}=" for each in _build_types(run) for name in each.VENDORS),
     "trust_package": lambda run, _: (name for name, *_ in InstalledPackages(run.setting.environment).shipping()),
     "create given": lambda run, context: (each[i:] for each in _policy(run, context).subjects() for i in (0, 1)),
+    "codes": lambda *_: explanations(),
     "form": _formats,
     "permission": lambda *_: chain.from_iterable(LABELLED.values()),
     "words": _question,

@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import field, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from comarmor.errors import Diagnostic, Origin, Severity, citation
 from comarmor.values import dataclass
@@ -71,7 +71,6 @@ class Setting:
     who: Callable[[], tuple[str, str]] = lambda: ("", "")
 
 
-_T = TypeVar("_T")
 _ExitCodeOf = Callable[[Plan], ExitCode]
 """Returns the exit code of an executed plan."""
 
@@ -127,6 +126,9 @@ class Run:
         """The files before a verb that does not write reads them, if its answer may be recorded."""
         self.result: dict[str, Any] = {}
         """What the report of a plan has as result, also if the run stops since nobody agrees to the plan."""
+        self.outcome: Mapping[str, Any] = {}
+        """What it has in place of that once the plan is carried out: :attr:`lines` are the words for it."""
+        self.lines: Sequence[str] = ()
         self.interrupted: Journal | None = None
         """The run before, if it did not come to its end."""
         self.folder_names = {f"{setting.cwd}/": ""}
@@ -299,22 +301,6 @@ class Run:
         """Carry out a plan for the workspace and its profile; see :meth:`carry_out`."""
         return self.carry_out(self.workspace(), lambda inputs: make_plan(inputs.session()), exit_code)
 
-    def made(
-        self,
-        make: Callable[[Session], tuple[Plan, _T]],
-        exit_code: Callable[[Plan, _T], ExitCode] = lambda plan, _made: exit_code_of(plan),
-    ) -> tuple[Report, _T]:
-        """Carry out a plan, see :meth:`change`, and return what was made beside the plan that was carried out."""
-        latest: list[_T] = []
-
-        def make_plan(session: Session) -> Plan:
-            plan, made = make(session)
-            latest[:] = [made]
-            return plan
-
-        report = self.change(make_plan, lambda plan: exit_code(plan, latest[0]))
-        return report, latest[0]
-
     def carry_out(
         self, workspace: Workspace, make_plan: Callable[[Inputs], Plan], exit_code: _ExitCodeOf = exit_code_of
     ) -> Report:
@@ -340,12 +326,16 @@ class Run:
             return plan
 
         with contextlib.closing(self.crew), contextlib.closing(self.tokens):
-            return self._carry_out(workspace, planned_from, exit_code)
+            report = self._carry_out(workspace, planned_from, exit_code)
+        self.console.messages(self.lines)
+        return replace(report, result=self.outcome) if self.outcome else report
 
     def _carry_out(self, workspace: Workspace, make_plan: Callable[[Inputs], Plan], exit_code: _ExitCodeOf) -> Report:
         if self.dry_run:
             plan = make_plan(self.snapshot(workspace))
-            return self.report(self.result, plan.diagnostics, exit_code(plan), workspace=workspace, steps=plan.steps)
+            return self.report(
+                self.outcome or self.result, plan.diagnostics, exit_code(plan), workspace=workspace, steps=plan.steps
+            )
         planned: tuple[Inputs, Plan, Sight] | None = None
         if not workspace.state.is_dir():
             sight = Sight.of(map(str, workspace.spaces()))
@@ -378,7 +368,9 @@ class Run:
             changes = itertools.chain(guards, plan.changes(), log)
             names = ((str(each.folder), each.written, each.removed) for each in changes)
             seen = sight.after(names, visible, clock(workspace.state))
-            report = self.report(self.result, plan.diagnostics, exit_code(plan), workspace=workspace, steps=plan.steps)
+            report = self.report(
+                self.outcome or self.result, plan.diagnostics, exit_code(plan), workspace=workspace, steps=plan.steps
+            )
             remember(self.setting.call, inputs, plan, self.presented(report), seen, store, self.console)
             store.end()
         return report

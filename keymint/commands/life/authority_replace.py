@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -52,17 +51,17 @@ def authority_replace(
     given = given_authority(run, certificate, key_file) if certificate else None
     request = PhaseRequest(Phase(phase) if phase else None, cancel, vendors, given)
 
-    def make_plan(session: Session) -> tuple[Plan, str]:
+    def make_plan(session: Session) -> Plan:
         before = rollover.phase_of(session, name)
         plan = phase_plan(run.crew, session, name, request)
         reached = rollover.phase_of(session.after(plan).session(), name)
         if run.dry_run and not cancel:
             run.console.lines(_outline(session, name, before, reached))
         told = _told(session, name, before, reached, cancelled=cancel)
-        return plan.noting(told), (reached or Phase.END).value
+        run.outcome = {"authority": name, "phase": (reached or Phase.END).value}
+        return plan.noting(told)
 
-    report, phase_reached = run.made(make_plan)
-    return replace(report, result={"authority": name, "phase": phase_reached})
+    return run.change(make_plan)
 
 
 # -- messages --------------------------------------------------------------------------------------------------------

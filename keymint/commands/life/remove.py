@@ -3,12 +3,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from keymint.command_line.options import Names, names_group
 from keymint.command_line.verb import Report, Run, flag, verb
 from keymint.commands.life.revoke import revocation_result, shown_revocation
-from keymint.life.package_issuance import Revoking
 from keymint.life.package_removal import REASON, certified_names, plan_removal, removable_names, require_unneeded
 from keymint.names import subject_of
 from keymint.stages.pipeline import Request, conduct
@@ -31,7 +28,7 @@ def remove(run: Run, names: Names = names_group(required=True), never_deployed: 
         never_deployed: No robot ever had the enclave, so its certificate need not be revoked.
     """
 
-    def make_plan(session: Session) -> tuple[Plan, tuple[Revoking, Plan, tuple[str, ...]]]:
+    def make_plan(session: Session) -> Plan:
         there = removable_names(session)
         own = there.difference(session.infrastructure())  # no pattern finds what the transport needs
         hint = "'keymint status' lists what is here"
@@ -41,11 +38,10 @@ def remove(run: Run, names: Names = names_group(required=True), never_deployed: 
         removing = plan_removal(session, chosen, deployed=not never_deployed)
         plan = conduct(Work(session), Request((), change=removing.plan), run.crew).plan
         plan = in_step(run.crew, session, plan.noting(*told, *removing.diagnostics))
-        return plan, (removing, plan, chosen)
+        gone = plan.of_action(Action.REMOVED)
+        removed = [subject_of(name) for name in chosen if name in gone]
+        run.outcome = {"removed": removed, **revocation_result(run, removing, plan, chosen)}
+        run.lines = [*shown_revocation(run, removing, run.outcome, REASON)]
+        return plan
 
-    report, (removing, plan, chosen) = run.made(make_plan)
-    gone = plan.of_action(Action.REMOVED)
-    removed = [subject_of(name) for name in chosen if name in gone]
-    result = {"removed": removed, **revocation_result(run, removing, plan, chosen)}
-    run.console.messages([*shown_revocation(run, removing, result, REASON)])
-    return replace(report, result=result)
+    return run.change(make_plan)

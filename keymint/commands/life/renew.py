@@ -58,8 +58,10 @@ def renew(
         threshold: Due after this part of the validity, or if it ends within this time: 66%, 30d.
         rekey: Also make new keys; the way back for a package whose key is barred.
     """
+    is_left = False
 
-    def make_plan(session: Session) -> tuple[Plan, _Renewal]:
+    def make_plan(session: Session) -> Plan:
+        nonlocal is_left
         packages = names.packages(run, session, threshold=threshold)
         told = names.confirm(run, "rekey", packages) if rekey else ()
         enclaves = with_enclaves(session, packages, named=bool(names))
@@ -73,30 +75,17 @@ def renew(
             chosen = tuple(by_state.get(name, Due(name)) for name in packages)
             due = Schedule(chosen, due.lists, due.authorities, due.following)
         rekeys = rekey and not run.resumes
-        plan, renewal = _renewal(run, session, due, rekey=rekeys, prove=prove, alone=not names)
-        result, lines, is_left = renewal
+        plan, is_left = _renewal(run, session, due, rekey=rekeys, prove=prove, alone=not names)
         if shorter:
             capped = "the time of --threshold is more than half of a validity; due after that half:"
-            lines = (*lines, f"{capped} {subject_list(shorter)}")
-        return plan.noting(*told), (result, lines, is_left)
+            run.lines = (*run.lines, f"{capped} {subject_list(shorter)}")
+        return plan.noting(*told)
 
-    report, (result, lines, _) = run.made(make_plan, lambda plan, made: exit_code_of(plan) or findings_if(made[-1]))
-    run.console.messages(lines)
-    return replace(report, result=result)
+    return run.change(make_plan, lambda plan: exit_code_of(plan) or findings_if(is_left))
 
 
-_Renewal = tuple[Mapping[str, Any], Sequence[str], bool]
-"""What is due and what is done about it.
-
-For ``--json``; in words: what was done and why, what to restart, and what is next; and whether there is something that
-only a person can do, or with ``--dry-run`` something is due.
-"""
-
-
-def _renewal(
-    run: Run, session: Session, due: Schedule, *, rekey: bool, prove: bool, alone: bool
-) -> tuple[Plan, _Renewal]:
-    """Plan what is due.
+def _renewal(run: Run, session: Session, due: Schedule, *, rekey: bool, prove: bool, alone: bool) -> tuple[Plan, bool]:
+    """Plan what is due, and say what is done and why, what to restart, and what is next.
 
     Args:
         run: the run.
@@ -105,6 +94,9 @@ def _renewal(
         rekey: make new keys.
         prove: require proofs.
         alone: nobody named the packages, so the defects of some do not keep the others from being renewed.
+
+    Returns:
+        The plan, and whether there is something that only a person can do, or with ``--dry-run`` something is due.
 
     Raises:
         KeymintError: nothing that is due can be renewed, or not all that was named.
@@ -165,11 +157,12 @@ def _renewal(
         "next": _document(due.following, "subject") if due.following else None,
     }
     of_late = [_document(each, "authority") for each in waiting_lists]
-    lines = _lines(run, due, result, of_late, plan)
+    run.lines = _lines(run, due, result, of_late, plan)
     is_due = run.dry_run and (due.lists or waiting_lists or len(due.enclaves) > len(result["unchanged"]))
     of_person = findings or any(each.code == DEFERRED for each in plan.diagnostics)
     result["unchanged"] = [each["subject"] for each in result["unchanged"]]
-    return plan, (result, lines, bool(of_person or is_due))
+    run.outcome = result
+    return plan, bool(of_person or is_due)
 
 
 def _document(due: Due, whose: str) -> dict[str, Any]:

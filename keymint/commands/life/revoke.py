@@ -46,7 +46,7 @@ def revoke(
         reason: superseded: the same key gets a new certificate. All others: nothing is issued for this key again.
     """
 
-    def make_plan(session: Session) -> tuple[Plan, tuple[Revoking, Plan, tuple[str, ...]]]:
+    def make_plan(session: Session) -> Plan:
         certified = {each.name for each in complete_register(session, lossy=True).certificates.values() if each.name}
         chosen = names.packages(run, session, None, certified)
         told = names.confirm(run, "revoke", chosen)
@@ -55,13 +55,12 @@ def revoke(
         plan = conduct(Work(session), request, run.crew).plan
         if revoking.skipped and not plan.writes():
             raise KeymintError.of([replace(each, severity=Severity.ERROR) for each in revoking.skipped])
-        return plan.noting(*told, *revoking.skipped, *revoking.diagnostics), (revoking, plan, chosen)
+        again = [subject_of(name) for name in updated_packages(plan) if name in chosen]
+        run.outcome = {**revocation_result(run, revoking, plan, chosen), "issued_again": again}
+        run.lines = [*shown_revocation(run, revoking, run.outcome, reason)]
+        return plan.noting(*told, *revoking.skipped, *revoking.diagnostics)
 
-    report, (revoking, plan, chosen) = run.made(make_plan)
-    result = revocation_result(run, revoking, plan, chosen)
-    result["issued_again"] = [subject_of(name) for name in updated_packages(plan) if name in chosen]
-    run.console.messages([*shown_revocation(run, revoking, result, reason)])
-    return replace(report, result=result)
+    return run.change(make_plan)
 
 
 def revocation_result(run: Run, revoking: Revoking, plan: Plan, chosen: Collection[str]) -> dict[str, Sequence[Any]]:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from comarmor.text import did_you_mean, quantity
 from keymint.command_line.agreement import FEWEST
@@ -46,19 +45,19 @@ def set_setting(
         return run.report({"settings": rows, "signed_again": None}, workspace=session.workspace)
     wanted = iso_validity(value) if setting == "valid-for" else value
 
-    def make_plan(session: Session) -> tuple[Plan, Sequence[str]]:
+    def make_plan(session: Session) -> Plan:
         change = _change(session, setting, wanted)
-        return change, _signed_again(session, change)
-
-    report, again = run.made(make_plan)
-    subjects = [*map(subject_of, again)]
-    if subjects:
-        number = quantity(len(subjects), "enclave")
-        run.console.line(f"to be built and signed again: {number}: {subject_list(subjects)}")
+        subjects = [*map(subject_of, _signed_again(session, change))]
+        run.outcome = {"settings": [{"setting": setting, "value": wanted}], "signed_again": subjects}
         asks = setting in {"domain", "distro"} and len(subjects) >= FEWEST
         agreed = "; --yes agrees that rights of the former one end" if asks else ""
-        run.console.line(f"run {_commands(session, ' --yes' if asks else '')}, then deploy and restart{agreed}")
-    return replace(report, result={"settings": [{"setting": setting, "value": wanted}], "signed_again": subjects})
+        run.lines = () if not subjects else (
+            f"to be built and signed again: {quantity(len(subjects), 'enclave')}: {subject_list(subjects)}",
+            f"run {_commands(session, ' --yes' if asks else '')}, then deploy and restart{agreed}",
+        )  # fmt: skip
+        return change
+
+    return run.change(make_plan)
 
 
 def _commands(session: Session, agreed: str) -> str:

@@ -59,15 +59,17 @@ def bundle(
     Options:
         staged: Of the second keystore, which 'keymint authority replace' staged; accept it into a copy of the keystore.
     """
+    made: list[MadeBundle] = []
 
-    def make_plan(session: Session) -> tuple[Plan, Sequence[MadeBundle]]:
+    def make_plan(session: Session) -> Plan:
         there = [name for name in enclave_names(session) if name in frozenset(session.packages())]
         chosen = dict.fromkeys(names.packages(run, session, matched=there))
         require_output(run, output, len(chosen))
         ahead, authorities = _second_keystore(run, session) if staged else (None, _in_force(session, chosen))
-        return plan_bundles(session, chosen, authorities, ahead)
+        plan, made[:] = plan_bundles(session, chosen, authorities, ahead)
+        return plan
 
-    report, made = run.made(make_plan)
+    report = run.change(make_plan)
     return replace(report, steps=(), result={"bundles": write_bundles(run, output, made)})
 
 

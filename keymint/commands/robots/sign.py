@@ -66,15 +66,17 @@ def sign(
     ]
     require_output(run, output, len(given))
 
-    def make_plan(session: Session) -> tuple[Plan, Sequence[MadeBundle]]:
+    made: list[MadeBundle] = []
+
+    def make_plan(session: Session) -> Plan:
         decided, chosen = plan_requests(session, given, fingerprints)
         request = Request(list(chosen), options=InstallRequest(prove=prove), change=decided)
         work = conduct(Work(session), request, run.crew)
         _, authorities = plan_authorities(work.session)
-        numbered, made = plan_bundles(work.session, chosen, authorities)
-        return work.then(numbered).plan, made
+        numbered, made[:] = plan_bundles(work.session, chosen, authorities)
+        return work.then(numbered).plan
 
-    report, made = run.made(make_plan)
+    report = run.change(make_plan)
     return replace(report, result={"bundles": write_bundles(run, output, made)})
 
 

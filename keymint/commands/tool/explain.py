@@ -6,8 +6,6 @@ from __future__ import annotations
 import textwrap
 from functools import partial
 
-import click
-
 from comarmor.text import did_you_mean, quote
 from keymint.command_line.verb import Report, Run, argument, verb
 from keymint.errors import usage_error
@@ -17,15 +15,8 @@ PARTS = ("cause", "effect", "remedy")
 _WRAPPER = partial(textwrap.TextWrapper, 80, subsequent_indent=" " * 10, break_on_hyphens=False)
 
 
-def _complete_code(_context: click.Context, _parameter: click.Parameter, incomplete: str) -> list[str]:
-    """Complete a code, for the shell."""
-    return [code for code in explanations() if code.startswith(incomplete)]
-
-
 @verb(workspace=False)
-def explain(
-    run: Run, codes: tuple[str, ...] = argument(nargs=-1, metavar="[CODE]...", shell_complete=_complete_code)
-) -> Report:
+def explain(run: Run, codes: tuple[str, ...] = argument(nargs=-1, metavar="[CODE]...")) -> Report:
     """Say what CODE means, which stands in brackets at the end of each message: cause, effect and remedy.
 
     Without a CODE, list all codes. It needs neither a workspace nor a network.
