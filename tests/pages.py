@@ -11,34 +11,30 @@ import os
 import re
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Self
 
-from tests import sros2_keystore
+from tests.stand_ins import STAND_INS
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 HOME = "~"
 """What a page shows for the folder in which its reader begins."""
 CLOCK = datetime.fromisoformat("2026-11-21T00:00:00Z")
 """When a page is read, unless it says otherwise."""
+NOW = "<!-- clock: now -->"
+"""What a page says that asks real DDS software, which reads the clock of the machine: then dates are masked."""
 LONGEST = 240
 """How long one command may take, in seconds."""
 NOT_RUN = re.compile(r" {2,}# needs (ROS 2|the network|root|Docker)\b")
 """How a page marks a command that the suite cannot run."""
-
-STAND_INS: Mapping[str, Callable[[Path], object]] = {
-    "ros2 security generate_artifacts -k demo_keystore -p policy.xml": lambda folder: sros2_keystore.make(
-        folder / "demo_keystore", (folder / "policy.xml").read_text()
-    ),
-}
-"""By a command that the suite cannot run, a function that does the same in the current folder."""
 
 _FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 _COMMENT = re.compile(r"<!-- (clock|starts where): (\S+?)(?: ends)? -->")
@@ -52,10 +48,11 @@ _MASKS = (
     (re.compile(r"\b[0-9]{12,}\b"), "NUMBER"),
     (re.compile(r"\b[0-9]+(\.[0-9]+)? (ms|s|seconds?)\b"), "TIME"),
     (re.compile(r"\b[Kk]eymint(,? version)? [0-9]+\.[0-9]+[0-9a-z.+]*"), "Keymint VERSION"),
+    (re.compile(r"(?<![-\w.])[0-9]+\.[0-9]+\.[0-9]+(?![-\w.])"), "VERSION"),
 )
 """What differs with key, speed or version.
 
-That is digests, serials, long numbers, durations, the version, the width of columns, and how OpenSSL writes names.
+That is digests, serials, long numbers, durations, versions, the width of columns, and how OpenSSL writes names.
 """
 
 
@@ -117,18 +114,26 @@ def _commands(text: str, start: int, end: int) -> Iterator[Step]:
         yield Step("run", command, part[2], _line(text, start + part.start()), at)
 
 
-def masked(text: str) -> str:
-    """Return text with the same word for whatever differs with key, speed or version."""
-    for pattern, word in _MASKS:
+def masked(text: str, page: str = "") -> str:
+    """Return text with the same word for whatever differs with key, speed or version.
+
+    Arguments:
+        text: what was printed, or is shown.
+        page: the text of the page.
+    """
+    for pattern, word in (*_MASKS, *(_DATES if NOW in page else ())):
         text = pattern.sub(word, text)
     return text
 
 
-def is_shown(printed: str, shown: str) -> bool:
+def is_shown(printed: str, shown: str, page: str = "") -> bool:
     """Tell whether a page shows what was printed: ``…`` stands for a part of a line, or alone for several lines."""
-    pattern = re.escape(masked(shown))
+    pattern = re.escape(masked(shown, page))
     pattern = re.sub(r"^…\\\n", "(.*\\n)*?", pattern, flags=re.MULTILINE).replace("…", ".*")
-    return re.fullmatch(pattern, masked(printed)) is not None
+    return re.fullmatch(pattern, masked(printed, page)) is not None
+
+
+_DATES = ((re.compile(r"\b20[0-9]{2}-[0-9]{2}-[0-9]{2}(T[0-9:]+Z)?( \([0-9]+ d\))?"), "DATE"),)
 
 
 class Reader:
@@ -136,10 +141,10 @@ class Reader:
 
     Arguments:
         folder: the empty folder.
-        stand_ins: by a command that needs what is not here, a function that does the same in the current folder.
+        stand_ins: by a command that needs what is not here, one that does the same.
     """
 
-    def __init__(self, folder: Path, stand_ins: Mapping[str, Callable[[Path], object]] | None = None) -> None:
+    def __init__(self, folder: Path, stand_ins: Mapping[str, str] | None = None) -> None:
         self._start = self._folder = folder
         self._stand_ins = stand_ins or {}
         self._code = 0
@@ -158,6 +163,7 @@ class Reader:
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
+            start_new_session=True,
         )
         self._clock(CLOCK)
 
@@ -167,7 +173,7 @@ class Reader:
 
     def __exit__(self, *_error: object) -> None:
         """End the shell."""
-        self._shell.kill()
+        os.killpg(self._shell.pid, signal.SIGKILL)
         self._shell.communicate()
 
     def follow(self, page: Path) -> Iterator[tuple[Step, str]]:
@@ -200,7 +206,7 @@ class Reader:
             case "starts":
                 list(self.follow((page.parent / step.what).resolve()))
             case "clock":
-                self._clock(datetime.fromisoformat(step.what))
+                self._clock(None if step.what == "now" else datetime.fromisoformat(step.what))
             case "save":
                 file.parent.mkdir(parents=True, exist_ok=True)
                 file.write_text(step.content)
@@ -211,10 +217,11 @@ class Reader:
             case "run":
                 stand_in = self._stand_ins.get(NOT_RUN.split(step.what)[0].strip())
                 if stand_in:
-                    stand_in(self._folder)
+                    said = self.run(stand_in)
+                    assert self._code == 0, f"{page}:{step.line}: what stands in for this fails: {said}"
 
-    def _clock(self, now: datetime) -> None:
-        self.run(f"export SOURCE_DATE_EPOCH={int(now.timestamp())}")
+    def _clock(self, now: datetime | None) -> None:
+        self.run(f"export SOURCE_DATE_EPOCH={int(now.timestamp())}" if now else "unset SOURCE_DATE_EPOCH")
 
     def run(self, command: str) -> str:
         """Type a command, and return what it prints, with the names of folders that a page shows."""
@@ -265,7 +272,7 @@ def rewritten(page: Path, printed: list[tuple[Step, str]]) -> str:
     """Return the text of a page with what its commands printed; what it shows already stays as it is."""
     text = page.read_text()
     for step, output in sorted(printed, key=lambda each: each[0].span, reverse=True):
-        if not is_shown(output, step.content):
+        if not is_shown(output, step.content, text):
             text = text[: step.span[0]] + output + text[step.span[1] :]
     return text
 
