@@ -7,7 +7,7 @@ BIN = $(VENV)/bin
 # One more than the cores: tests on real software mostly wait for it.
 WORKERS ?= $(shell expr $$(nproc) + 1)
 
-.PHONY: help setup vendors vendors-new demo demo-zenoh test test-ros test-full test-all docs lint bench lock clean
+.PHONY: help setup vendors vendors-new demo demo-zenoh test test-ros test-full test-all docs docs-links lint bench lock clean
 
 help:
 	@echo "make demo    provision the talker/listener example and show the keystore"
@@ -18,6 +18,7 @@ help:
 	@echo "make test-all   the suite on every installed Python from 3.11 on"
 	@echo "make vendors-new  unpack newer Fast DDS and Cyclone DDS from Debian into ~/.cache/keymint; nothing is installed"
 	@echo "make docs    the documentation as a site, in site/docs/index.html"
+	@echo "make docs-links  ask each external link of the documentation whether it is still there (needs the network)"
 	@echo "make lint    ruff, mypy, import-linter"
 	@echo "make bench   the benchmarks"
 	@echo "make lock    resolve requirements.lock again"
@@ -51,6 +52,9 @@ test-all: vendors vendors-new
 
 docs: setup
 	@BIN=$(BIN) .ci/docs site
+
+docs-links: setup
+	@BIN=$(BIN) .ci/docs site/links linkcheck
 
 lint: setup
 	$(BIN)/ruff check .

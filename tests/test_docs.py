@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import os
 import re
@@ -10,6 +11,7 @@ import runpy
 import shutil
 import subprocess
 import sys
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,6 +20,7 @@ import click
 import pytest
 
 from comarmor.errors import Origin
+from keymint import api, client
 from keymint.cli import VERBS, cli
 from keymint.robots.bundle import unpack
 from tests.conftest import CHECKOUT, Outcome
@@ -122,7 +125,7 @@ def test_each_file_of_a_workspace_has_a_row(site: Path, known_file: re.Pattern[s
     found = files_below(site.parents[1] / "docs" / "reference" / "generated" / "example" / "robot_ws")
     assert {"install.next/zenoh/router.json5", "private/identity_ca.next.key.pem", ".keymint/state.json"} <= found
     page = text_of(site / "reference" / "generated" / "files" / "index.html")
-    assert "profile/packages.lock.d/PACKAGE/…" in page
+    assert "packages.lock.d/PACKAGE/…" in page
     assert [each for each in found if not known_file.fullmatch(each.replace("install.next/", "install/"))] == []
 
 
@@ -147,10 +150,36 @@ def test_each_file_of_the_keystore_of_a_robot_has_a_row(
 def test_each_code_has_its_place_with_cause_effect_and_remedy(site: Path) -> None:
     codes = (CHECKOUT / "tests" / "golden_codes.txt").read_text().split()
     page = (site / "reference" / "generated" / "codes.html").read_text()
+    assert [code for code in codes if f'href="#{code}">' not in page] == []
     assert [code for code in codes if f'id="{code}"' not in page] == []
     assert page.count("<strong>remedy</strong>") == len(codes)
 
 
-def test_the_pages_of_programs(site: Path) -> None:
-    assert "class keymint.api.BuildType" in text_of(site / "reference" / "plugins.html")
-    assert "class keymint.client.Client" in text_of(site / "reference" / "client.html")
+def test_each_class_and_method_for_plugins_is_in_its_page(site: Path) -> None:
+    page = (site / "reference" / "plugins.html").read_text()
+    public = {name: each for name, each in vars(api).items() if name[0] != "_" and not inspect.ismodule(each)}
+    methods = {
+        f"{name}.{method}"
+        for name, each in public.items()
+        if inspect.isclass(each)
+        for method, function in vars(each).items()
+        if method[0] != "_" and inspect.isfunction(function)
+    }
+    assert {"BuildType", "BuildType.build", "Package"} <= {*public, *methods}
+    names = {*public, *methods} - {"annotations"}
+    assert [each for each in names if f'id="keymint.api.{each}"' not in page] == []
+    text = text_of(site / "reference" / "plugins.html")
+    assert [group for group in entry_point_groups() if group not in text] == []
+
+
+def entry_point_groups() -> set[str]:
+    """Return the groups of plugins that the distribution registers."""
+    project = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["project"]
+    return {each for each in project["entry-points"] if each.startswith("keymint.")}
+
+
+def test_each_name_of_the_client_is_in_its_page(site: Path) -> None:
+    page = (site / "reference" / "client.html").read_text()
+    methods = {f"Client.{each}" for each in vars(client.Client) if each[0] != "_"}
+    assert "Client.provision" in methods
+    assert [each for each in {*client.__all__, *methods} if f'id="keymint.client.{each}"' not in page] == []

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import json
+import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import jsonschema
@@ -99,6 +101,20 @@ def graph(tmp_path: Path, of_sros2: Path) -> None:
     )
 
 
+DOCUMENTED = "\n".join((CHECKOUT / "docs" / name).read_text() for name in ("json.md", "graph.md"))
+BY_NAME = {"assumptions", "variables", "models", "files", "modes", "signatures"}
+"""Members whose own members have the names of variables, models or files."""
+
+
+def members(value: object) -> Iterator[str]:
+    """Yield the name of each member of a result, and of what is in it."""
+    for each in value if isinstance(value, list) else ():
+        yield from members(each)
+    for name, each in value.items() if isinstance(value, dict) else ():
+        yield name
+        yield from members([*each.values()] if name in BY_NAME and isinstance(each, dict) else each)
+
+
 def test_every_verb_has_it() -> None:
     assert set(CALLS) == set(VERBS)
 
@@ -110,6 +126,9 @@ def test_of_a_verb_that_succeeds(keymint, provisioned: Path, verb: str) -> None:
     document = held(keymint(*CALLS[verb], "--json"))
     assert document["verb"].split()[0] == verb
     assert document["exit_code"] == 0
+    undocumented = {each for each in members(document["result"]) if f"`{each}`" not in DOCUMENTED}
+    assert undocumented == set()
+    assert not document["result"] or re.search(rf"^\* [^:]*`{verb}[` ]", DOCUMENTED, re.MULTILINE)
 
 
 @pytest.fixture
