@@ -11,16 +11,19 @@ A first policy denies what does not have exactly one value of each attribute: in
 Expressions of names become regular expressions of XPath 2.0, which the function ``string-regexp-match`` takes. XACML
 3.0, A.3.13 refers to ``xf:matches``: without anchors it looks for a part of the text, and without flags ``.`` matches
 no line feed. So they have anchors, and ``[\s\S]`` for any character, which implementations of other dialects (Java,
-Python) read alike. Identifiers are of XACML 3.0 (section 10.2 and appendices A to C), or begin with :data:`OWN`.
+Python) read alike. Identifiers are of XACML 3.0 (section 10.2 and appendices A to C), or begin with
+``urn:keymint:xacml:1.0:``. The document is that of the template ``policy_set.xml.j2``.
 """
 
 from __future__ import annotations
 
 import posixpath
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from urllib.parse import quote as percent_encoded
 
-from lxml import etree
+from jinja2 import Environment, StrictUndefined
+from markupsafe import Markup
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns.glob import literal, parse
@@ -31,40 +34,6 @@ from comarmor.values import dataclass
 from keymint.api import ExportedPolicy
 from keymint.errors import KeymintError, UnsayableError
 from keymint.ir import SubjectRules
-
-NAMESPACE = "urn:oasis:names:tc:xacml:3.0:core:schema:wd-17"
-STRING = "http://www.w3.org/2001/XMLSchema#string"
-INTEGER = "http://www.w3.org/2001/XMLSchema#integer"
-
-DENY_UNLESS_PERMIT = "urn:oasis:names:tc:xacml:3.0:policy-combining-algorithm:deny-unless-permit"
-POLICIES_DENY_OVERRIDES = "urn:oasis:names:tc:xacml:3.0:policy-combining-algorithm:deny-overrides"
-RULES_DENY_OVERRIDES = "urn:oasis:names:tc:xacml:3.0:rule-combining-algorithm:deny-overrides"
-
-_FUNCTION = "urn:oasis:names:tc:xacml:1.0:function:"
-STRING_EQUAL = f"{_FUNCTION}string-equal"
-REGULAR_MATCH = f"{_FUNCTION}string-regexp-match"
-NOT, AND = f"{_FUNCTION}not", f"{_FUNCTION}and"
-INTEGER_EQUAL, BAG_SIZE = f"{_FUNCTION}integer-equal", f"{_FUNCTION}string-bag-size"
-
-OWN = "urn:keymint:xacml:1.0:"
-"""Begins the identifiers that are not of the standard."""
-AUDIT, ORIGIN = f"{OWN}advice:audit", f"{OWN}advice:origin"
-_RESOURCE = "urn:oasis:names:tc:xacml:3.0:attribute-category:resource"
-
-
-Attribute = tuple[str, str]
-"""The category and the identifier of an attribute of a request, a string."""
-SUBJECT = (
-    "urn:oasis:names:tc:xacml:1.0:subject-category:access-subject",
-    "urn:oasis:names:tc:xacml:1.0:subject:subject-id",
-)
-NAME = (_RESOURCE, "urn:oasis:names:tc:xacml:1.0:resource:resource-id")
-ACTION = ("urn:oasis:names:tc:xacml:3.0:attribute-category:action", "urn:oasis:names:tc:xacml:1.0:action:action-id")
-KIND = (_RESOURCE, f"{OWN}resource:kind")
-PARTITION = (_RESOURCE, f"{OWN}resource:partition")
-ATTRIBUTES = (SUBJECT, NAME, KIND, PARTITION, ACTION)
-"""What a request has, each with one value; the partition is empty for the default one."""
-
 
 _XML = Charset(((9, 10), (13, 13), (32, 0xD7FF), (0xE000, 0xFFFD), (0x10000, MAX_CODE)))
 """The characters of XML 1.0 (2.2): a policy and a request have no others."""
@@ -130,17 +99,14 @@ def _set(charset: Charset) -> str:
     return f"[{'^' if is_negated else ''}{members}]"
 
 
-_DESCRIPTION = (
-    "Ask with one value of each attribute; that of the partition is empty for the default one. An object that has "
-    "parts, as an action, is permitted if all of them are: ask for each."
-)
-_EFFECTS = {Effect.ALLOW: "Permit", Effect.DENY: "Deny"}
+_TEXT = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", "\r": "&#13;"})
 
 
-_XacmlRule = tuple[Rule, Mapping[Attribute, Collection[TextMatch]]]
-"""The rule that a rule of XACML comes from, and by attribute what any of matches; it has one kind, without parts.
+_XacmlRule = tuple[Rule, str, Mapping[str, Collection[TextMatch]]]
+"""The rule that a rule of XACML comes from, with its file and line, and by attribute what any of matches.
 
-Every partition matches if there is none.
+The folder is left out, since it differs between machines. It has one kind, without parts. Every partition matches if
+there is none.
 """
 
 
@@ -172,8 +138,9 @@ def _rules(subject: SubjectRules, found: list[Diagnostic], *, lossy: bool) -> It
         if not partitions and rule.effect is Effect.ALLOW:
             partitions = (TextMatch(""),)
         for (kind, permissions), names in by_part.items():
-            target = {KIND: [TextMatch(kind)], ACTION: [*map(TextMatch, permissions)], NAME: [*names]}
-            yield rule, {**target, PARTITION: partitions} if partitions else target
+            target = {"kind": [TextMatch(kind)], "action": [*map(TextMatch, permissions)], "name": [*names]}
+            origin = f"{one_line(posixpath.basename(rule.origin.file))}:{rule.origin.line}"
+            yield rule, origin, {**target, "partition": partitions} if partitions else target
 
 
 def _parts(rule: Rule) -> Iterator[tuple[str, tuple[str, ...], str]]:
@@ -195,79 +162,11 @@ def _unsayable(rule: Rule, reason: str, subject: str, *, lossy: bool) -> Diagnos
 
 
 def _document(subjects: Iterable[tuple[str, Sequence[_XacmlRule]]]) -> bytes:
-    attributes = _of_policy_set("policies", DENY_UNLESS_PERMIT)
-    outer = etree.Element(f"{{{NAMESPACE}}}PolicySet", attributes, nsmap={None: NAMESPACE})  # type: ignore[dict-item]
-    _child(outer, "Description", _DESCRIPTION)
-    _child(outer, "Target")
-    inner = _child(outer, "PolicySet", **_of_policy_set("subjects", POLICIES_DENY_OVERRIDES))
-    _child(inner, "Target")
-    # This policy denies a request without exactly one value of each attribute.
-    guard = _policy(inner, "one-value-of-each-attribute", "Without exactly one value of each attribute.")
-    _child(guard, "Target")
-    condition = _child(_child(guard, "Rule", RuleId="1", Effect="Deny"), "Condition")
-    all_of = _child(_child(condition, "Apply", FunctionId=NOT), "Apply", FunctionId=AND)
-    for attribute in ATTRIBUTES:
-        equal = _child(all_of, "Apply", FunctionId=INTEGER_EQUAL)
-        _designator(_child(equal, "Apply", FunctionId=BAG_SIZE), attribute)
-        _child(equal, "AttributeValue", "1", DataType=INTEGER)
-    for subject, rules in subjects:
-        if not rules:
-            continue  # the outer set denies everything
-        policy = _policy(inner, f"subject:{percent_encoded(subject)}", subject)
-        _any_of(_child(policy, "Target"), SUBJECT, [TextMatch(subject)])
-        for number, said in enumerate(rules, 1):
-            _rule(policy, number, *said)
-    etree.indent(outer)
-    text = etree.tostring(outer, encoding="unicode")
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'.encode()
-
-
-def _child(parent: etree._Element, tag: str, text: str = "", **attributes: str) -> etree._Element:
-    element = etree.SubElement(parent, f"{{{NAMESPACE}}}{tag}", attributes)
-    element.text = text or None
-    return element
-
-
-def _of_policy_set(name: str, algorithm: str) -> dict[str, str]:
-    """Return the attributes of a policy set."""
-    return {"PolicySetId": f"{OWN}{name}", "Version": "1.0", "PolicyCombiningAlgId": algorithm}
-
-
-def _policy(parent: etree._Element, name: str, description: str) -> etree._Element:
-    policy = _child(parent, "Policy", PolicyId=f"{OWN}{name}", Version="1.0", RuleCombiningAlgId=RULES_DENY_OVERRIDES)
-    _child(policy, "Description", description)
-    return policy
-
-
-def _rule(policy: etree._Element, number: int, said: Rule, matches: Mapping[Attribute, Collection[TextMatch]]) -> None:
-    """Add a rule, with its file and line as its description, without the folder, which differs between machines."""
-    effect, place = _EFFECTS[said.effect], said.origin
-    origin = f"{one_line(posixpath.basename(place.file))}:{place.line}"
-    rule = _child(policy, "Rule", RuleId=str(number), Effect=effect)
-    _child(rule, "Description", origin)
-    target = _child(rule, "Target")
-    for attribute, any_of in matches.items():
-        _any_of(target, attribute, any_of)
-    if said.audit:
-        advice = _child(_child(rule, "AdviceExpressions"), "AdviceExpression", AdviceId=AUDIT, AppliesTo=effect)
-        _child(
-            _child(advice, "AttributeAssignmentExpression", AttributeId=ORIGIN),
-            "AttributeValue", origin, DataType=STRING,
-        )  # fmt: skip
-
-
-def _any_of(target: etree._Element, attribute: Attribute, matches: Iterable[TextMatch]) -> None:
-    any_of = _child(target, "AnyOf")
-    for each in matches:
-        function = REGULAR_MATCH if each.is_regular else STRING_EQUAL
-        match = _child(_child(any_of, "AllOf"), "Match", MatchId=function)
-        _child(match, "AttributeValue", each.text, DataType=STRING)
-        _designator(match, attribute)
-
-
-def _designator(parent: etree._Element, attribute: Attribute) -> None:
-    category, name = attribute
-    _child(
-        parent, "AttributeDesignator",
-        Category=category, AttributeId=name, DataType=STRING, MustBePresent="false",
-    )  # fmt: skip
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
+    )
+    environment.filters["xml"] = lambda text: Markup(text.translate(_TEXT))  # noqa: S704 - quotes stay as they are
+    template = environment.from_string(Path(__file__).with_suffix(".xml.j2").read_text(encoding="utf-8"))
+    # Without rules the outer set denies everything.
+    policies = [(name, percent_encoded(name), [TextMatch(name)], rules) for name, rules in subjects if rules]
+    return template.render(policies=policies).encode()
