@@ -69,13 +69,11 @@ def is_awaited(package: Package) -> bool:
 
 def unknown_key(package: Package) -> Diagnostic:
     """Return the finding on a package whose public key is not known here."""
-    return Diagnostic.warning(
-        "key-unknown",
-        f"the key of {package.subject} lies in a token, and its public key is not known here: no certificate is issued",
-        package.identity.origin,
-        "run 'keymint request --pkcs11 …' on the machine that has the token, then 'keymint sign' here",
-        package.subject,
+    message = (
+        f"the key of {package.subject} lies in a token, and its public key is not known here: no certificate is issued"
     )
+    help_ = "run 'keymint request --pkcs11 …' on the machine that has the token, then 'keymint sign' here"
+    return Diagnostic.warning("key-unknown", message, package.identity.origin, help_, package.subject)
 
 
 def private_key(session: Session, package: Package) -> bytes:
@@ -288,12 +286,9 @@ def _require_generation(session: Session, package: Package, register: Register) 
     own, lowest = package.issuance.generation, register.generation(package.name)
     if own < lowest:
         reason = next((each.reason for each in reversed(register.of(package.name)) if each.reason), SUPERSEDED)
-        raise KeymintError(
-            f"the sources have generation {own}, but generation {lowest} is the lowest that may be issued",
-            where=place_of(session, package.name),
-            help=f"restore the file; or 'keymint revoke {package.name} --reason {reason}' writes the generation again",
-            code="generation-back",
-        )
+        message = f"the sources have generation {own}, but generation {lowest} is the lowest that may be issued"
+        help_ = f"restore the file; or 'keymint revoke {package.name} --reason {reason}' writes the generation again"
+        raise KeymintError(message, where=place_of(session, package.name), help=help_, code="generation-back")
     if own > lowest and has_register(session):
         lacks = f"the revocation that gave {package.subject} the generation {own} in {place_of(session, package.name)}"
         raise outdated_register(session, f"{lacks}: it is older, so the key may be one that was revoked")

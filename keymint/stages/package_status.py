@@ -210,13 +210,11 @@ def _require_certified(session: Session, name: str, there: Collection[str], *, r
     """
     if reason := register_of(session).withdrawn(name):
         if not rekey:
-            raise KeymintError(
-                f"the certificate of {subject_of(name)} was revoked ({reason}), and nothing is issued for its key "
-                "again",
-                where=place_of(session, name),
-                help=f"'keymint renew --rekey {name}' makes a new key",
-                code="key-barred",
+            message = (
+                f"the certificate of {subject_of(name)} was revoked ({reason}), and nothing is issued for its key again"
             )
+            help_ = f"'keymint renew --rekey {name}' makes a new key"
+            raise KeymintError(message, where=place_of(session, name), help=help_, code="key-barred")
     elif name not in there and not (rekey and register_of(session).of(name)):  # an enclave that was lost gets a new key
         raise KeymintError(
             f"the enclave {subject_of(name)} is not installed, so there is nothing to renew",

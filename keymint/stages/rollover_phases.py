@@ -203,10 +203,8 @@ def phase_plan(crew: Crew, session: Session, name: str, request: PhaseRequest) -
     if request.phase in {None, phase}:
         return _completed(crew, Work(session), name, names, phase)
     if request.phase is not following:
-        raise usage_error(
-            f"the key of the authority {name!r} is in the phase {phase}: {request.phase} does not follow it",
-            f"'keymint authority replace {name} --phase {following}' does",
-        )
+        message = f"the key of the authority {name!r} is in the phase {phase}: {request.phase} does not follow it"
+        raise usage_error(message, f"'keymint authority replace {name} --phase {following}' does")
     if phase is Phase.STAGE:
         require_staged(crew, session, name)
     else:
@@ -224,11 +222,9 @@ def _names(session: Session, name: str) -> Sequence[str]:
     authority_named(session, name)
     names = with_sources(session)
     if not names:
-        raise KeymintError(
-            "nothing is installed, so nobody trusts an authority yet",
-            help=f"'keymint install --new-authority {name}' makes a new one at once",
-            code="enclave-missing",
-        )
+        message = "nothing is installed, so nobody trusts an authority yet"
+        help_ = f"'keymint install --new-authority {name}' makes a new one at once"
+        raise KeymintError(message, help=help_, code="enclave-missing")
     return names
 
 
@@ -244,27 +240,20 @@ def _require_same_begin(session: Session, name: str, phase: Phase, request: Phas
     if request.given and issuance.rollover:
         same = same and certificates.load(request.given.certificate) == certificates.load(issuance.rollover.certificate)
     if not same:
-        raise usage_error(
-            f"the key of the authority {name!r} is being replaced already (phase {phase})",
-            "leave --vendor, --certificate and --key out; or --cancel it first",
-        )
+        message = f"the key of the authority {name!r} is being replaced already (phase {phase})"
+        raise usage_error(message, "leave --vendor, --certificate and --key out; or --cancel it first")
 
 
 def _begun(crew: Crew, session: Session, name: str, names: Sequence[str], request: PhaseRequest) -> Plan:
     refused = refusing_implementations(session, name, request.vendors, "bundles")
     phase = request.phase or (Phase.STAGE if refused else Phase.DISTRIBUTE)
     if phase is Phase.REISSUE:
-        raise KeymintError(
-            f"the key of the authority {name!r} is not being replaced",
-            help=f"'keymint authority replace {name}' begins",
-            code="rollover-none",
-        )
+        message = f"the key of the authority {name!r} is not being replaced"
+        raise KeymintError(message, help=f"'keymint authority replace {name}' begins", code="rollover-none")
     if phase is Phase.DISTRIBUTE and refused:
-        raise KeymintError(
-            f"{' and '.join(refused)} cannot trust two authorities {name!r} at once",
-            help="stage a second keystore: leave --phase out; or name what the fleet has with --vendor",
-            code="rollover-no-bundle",
-        )
+        message = f"{' and '.join(refused)} cannot trust two authorities {name!r} at once"
+        help_ = "stage a second keystore: leave --phase out; or name what the fleet has with --vendor"
+        raise KeymintError(message, help=help_, code="rollover-no-bundle")
     _require_current(session, names, "the present keystore", "'keymint build' and 'keymint install' complete it")
     work = Work(session).then(rollover.plan_begin(session, name, phase, request.given))
     return _completed(crew, work, name, names, phase)
@@ -309,9 +298,6 @@ def require_staged(crew: Crew, session: Session, name: str) -> None:
     """
     if staged_keystore(crew, session, name, _names(session, name)).writes():
         shown = session.workspace.shown(session.workspace.next_install)
-        raise KeymintError(
-            "the second keystore is not as the sources and the authorities say now",
-            where=Origin(shown),
-            help=f"'keymint authority replace {name}' brings it up to date; copy it to all robots again",
-            code="rollover-incomplete",
-        )
+        message = "the second keystore is not as the sources and the authorities say now"
+        help_ = f"'keymint authority replace {name}' brings it up to date; copy it to all robots again"
+        raise KeymintError(message, where=Origin(shown), help=help_, code="rollover-incomplete")

@@ -44,11 +44,8 @@ def choose(
         known = {name: plugins.transport(name) for each in build_types for name in plugins.transports_of(each, distro)}
         used = {name: each for name, each in known.items() if usable_by_default(each.usable(), tier)}
     if not used:
-        raise KeymintError(
-            f"no transport supports the tier {tier} on this machine",
-            help="'keymint transports' shows how to install one",
-            code="transport-none",
-        )
+        message = f"no transport supports the tier {tier} on this machine"
+        raise KeymintError(message, help="'keymint transports' shows how to install one", code="transport-none")
     groups = {each: {name: used[name] for name in used if plugins.read_by(name) == each} for each in build_types}
     return {build_type: group for build_type, group in groups.items() if group}
 
@@ -72,18 +69,12 @@ def _named(plugins: Plugins, chosen: Sequence[str], tier: Tier, build_types: Seq
             )
         usable = transport.usable()
         if not usable.usable:
-            raise KeymintError(
-                f"the transport {name!r} cannot be used here: {usable.reason}",
-                help=usable.help,
-                code="transport-unusable",
-            )
+            message = f"the transport {name!r} cannot be used here: {usable.reason}"
+            raise KeymintError(message, help=usable.help, code="transport-unusable")
         if tier not in usable.tiers:
-            raise KeymintError(
-                f"the transport {name!r} does not support the tier {tier}",
-                help=f"it supports {', '.join(usable.tiers)}",
-                code="transport-tier",
-                exit_code=ExitCode.USAGE,
-            )
+            message = f"the transport {name!r} does not support the tier {tier}"
+            help_ = f"it supports {', '.join(usable.tiers)}"
+            raise KeymintError(message, help=help_, code="transport-tier", exit_code=ExitCode.USAGE)
     return named
 
 

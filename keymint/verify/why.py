@@ -104,11 +104,8 @@ def source_package(session: Session, subject: str) -> api.Package | None:
         return None
     package = session.package(name)
     if package.role is api.Role.INFRASTRUCTURE:
-        raise KeymintError(
-            f"{subject} has no rights to explain: it belongs to the infrastructure of a transport",
-            help="name a subject of the policy",
-            code="packages-none",
-        )
+        message = f"{subject} has no rights to explain: it belongs to the infrastructure of a transport"
+        raise KeymintError(message, help="name a subject of the policy", code="packages-none")
     return package
 
 

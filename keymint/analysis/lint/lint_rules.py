@@ -165,11 +165,9 @@ def root_names(policy: LoadedPolicy, written: PolicyStructure) -> Iterator[Diagn
     depends = {each.rule.origin.spot for each in written.clauses if each.expand("/a/", "a") != each.expand("/b/", "b")}
     for rule in rules_of(policy, ROOT_ENCLAVE):
         if rule.origin.spot in depends:
-            yield Diagnostic.warning(
-                "root-name",
+            message = (
                 f"the root enclave '/' has no name, so this {rule.effect} {rule.kind} rule is about "
-                f"{quoted_list(rule.expressions)}, and about none of the nodes that use the enclave",
-                rule.origin,
-                "write the names of these nodes, with wildcards if they are not known, e.g. /*/get_parameters",
-                ROOT_ENCLAVE,
+                f"{quoted_list(rule.expressions)}, and about none of the nodes that use the enclave"
             )
+            help_ = "write the names of these nodes, with wildcards if they are not known, e.g. /*/get_parameters"
+            yield Diagnostic.warning("root-name", message, rule.origin, help_, ROOT_ENCLAVE)

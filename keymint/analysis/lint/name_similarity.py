@@ -95,12 +95,8 @@ def similar_subjects(written: PolicyStructure) -> Iterator[Diagnostic]:
     for name, places in named.items():
         near = often.nearest(name, 1, given_up) if len(places) == 1 else None
         if near:
-            yield Diagnostic.warning(
-                "name-similar",
-                f"one profile applies to the subject {name!r}, and {len(named[near])} apply to {near!r}",
-                next(iter(places.values())),
-                f"did you mean {near!r}?",
-            )
+            message = f"one profile applies to the subject {name!r}, and {len(named[near])} apply to {near!r}"
+            yield Diagnostic.warning("name-similar", message, next(iter(places.values())), f"did you mean {near!r}?")
     yield from _unknown(given_up)
 
 

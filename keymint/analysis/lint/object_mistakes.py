@@ -82,13 +82,9 @@ def _is_wide(rule: Rule, text: str) -> bool:
 def _of_all(found: _Expression, where: Origin) -> Diagnostic:
     rule, text, subject = found
     permissions = ", ".join(each for each in rule.permissions if each not in _READING)
-    return Diagnostic.warning(
-        "object-any",
-        f"this ALLOW {rule.kind} rule gives {permissions} on every {rule.kind}, since {text!r} matches all names",
-        where,
-        'name what the node uses, e.g. /camera/*; if you mean every object, say so by modifier="AUDIT"',
-        subject,
-    )
+    message = f"this ALLOW {rule.kind} rule gives {permissions} on every {rule.kind}, since {text!r} matches all names"
+    help_ = 'name what the node uses, e.g. /camera/*; if you mean every object, say so by modifier="AUDIT"'
+    return Diagnostic.warning("object-any", message, where, help_, subject)
 
 
 def _of_parameter(found: _Expression, where: Origin, nodes: set[str]) -> Iterator[Diagnostic]:
