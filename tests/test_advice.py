@@ -99,7 +99,7 @@ def wrong(text: str) -> Iterator[str]:
         ("'keymint authority renew X --flag-day' does it", []),
         ("'keymint authority renew X --vendor' does it", ["no --vendor of 'authority renew'"]),
         ("'keymint authority shaw X' shows it", ["no verb 'authority shaw'"]),
-        ("Waiting for the workspace lock held by another keymint process", []),
+        ("Waiting for the workspace lock held by another keymint process (process 7)", []),
     ],
 )
 def test_what_does_not_exist_is_seen(text: str, found: list[str]) -> None:

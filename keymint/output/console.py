@@ -71,9 +71,9 @@ class Console:
 
     # -- while it runs -------------------------------------------------------------------------------------------
 
-    def waiting(self) -> None:
-        """Report that another run holds the workspace lock."""
-        self._say_err("Waiting for the workspace lock held by another keymint process")
+    def waiting(self, process: str) -> None:
+        """Report that another run holds the workspace lock: its process in words, or an empty text."""
+        self._say_err(f"Waiting for the workspace lock held by another keymint process{process}")
 
     @contextmanager
     def progress(self, total: int, clock: Any) -> Iterator[Any]:

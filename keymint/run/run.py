@@ -81,7 +81,7 @@ def exit_code_of(plan: Plan) -> ExitCode:
     return ExitCode.FAILURE if failed else ExitCode.DONE
 
 
-def _refuse_to_wait() -> None:
+def _refuse_to_wait(_process: str) -> None:
     raise KeymintError("another command holds the lock of the workspace", code="not-recorded")
 
 

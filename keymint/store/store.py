@@ -43,7 +43,7 @@ _UNSUPPORTED = frozenset({errno.EBADF, errno.EINVAL, errno.ENOLCK, errno.ENOSYS,
 
 
 @contextlib.contextmanager
-def path_lock(path: Path, operation: int, on_wait: Callable[[], None]) -> Iterator[bool]:
+def path_lock(path: Path, operation: int, on_wait: Callable[[str], None]) -> Iterator[bool]:
     """Hold the lock of a workspace, or that of a folder itself, for which it needs no file.
 
     If the path does not exist, or cannot be opened or locked to read (e.g. in a copy or on a read-only file system), it
@@ -52,7 +52,7 @@ def path_lock(path: Path, operation: int, on_wait: Callable[[], None]) -> Iterat
     Args:
         path: the lock file, or the folder; if its file system locks no folders (e.g. NFS, to write), it is not locked.
         operation: ``LOCK_SH`` to read, which admits other readers; ``LOCK_EX`` to write.
-        on_wait: called once before waiting for another process that holds the lock.
+        on_wait: called once before waiting for another process that holds the lock, with that process in words.
 
     Yields:
         Whether the lock is held.
@@ -78,13 +78,26 @@ def path_lock(path: Path, operation: int, on_wait: Callable[[], None]) -> Iterat
         os.close(opened)
 
 
-def wait_for_lock(lock: int, operation: int, on_wait: Callable[[], None]) -> None:
+def wait_for_lock(lock: int, operation: int, on_wait: Callable[[str], None]) -> None:
     """Lock an open file with ``LOCK_SH`` or ``LOCK_EX``; calls ``on_wait`` before waiting for another process."""
     try:
         fcntl.flock(lock, operation | fcntl.LOCK_NB)
     except BlockingIOError:
-        on_wait()
+        on_wait(_holder(lock))
         fcntl.flock(lock, operation)
+
+
+def _holder(lock: int) -> str:
+    """Return which process holds the lock of an open file, and whether it is stopped; empty if nothing tells."""
+    status = os.fstat(lock)
+    place = f"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}:{status.st_ino}"
+    with contextlib.suppress(OSError, ValueError, IndexError, StopIteration):
+        lines = [line.split() for line in Path("/proc/locks").read_text("ascii").splitlines()]
+        number = next(each[4] for each in lines if each[5:6] == [place])  # of one that waits it is in another column
+        state = Path(f"/proc/{number}/stat").read_text("utf-8", "replace").rpartition(")")[2].split()[0]
+        stopped = f", which is stopped: 'kill -CONT {number}' lets it go on" if state == "T" else ""
+        return f" (process {number}{stopped})"
+    return ""
 
 
 def clock(records: Path) -> int:
@@ -137,11 +150,11 @@ class Store:
     # -- sessions ------------------------------------------------------------------------------------------------
 
     @contextlib.contextmanager
-    def locked(self, on_wait: Callable[[], None]) -> Iterator[None]:
+    def locked(self, on_wait: Callable[[str], None]) -> Iterator[None]:
         """Hold the workspace lock exclusively, and the locks of the private folders, which others may share.
 
         Args:
-            on_wait: called before waiting for another process that holds a lock.
+            on_wait: called before waiting for another process that holds a lock, with that process in words.
         """
         with contextlib.ExitStack() as self._locks:
             with OpenFolders(self._roots) as folders, reported(self._records / LOCK):
@@ -157,15 +170,15 @@ class Store:
                     self._lock(root, on_wait)
             yield
 
-    def _lock(self, root: str, on_wait: Callable[[], None]) -> None:
+    def _lock(self, root: str, on_wait: Callable[[str], None]) -> None:
         with reported(root):
             self._locks.enter_context(path_lock(Path(root), fcntl.LOCK_EX, on_wait))
 
-    def lock_missing(self, on_wait: Callable[[], None]) -> bool:
+    def lock_missing(self, on_wait: Callable[[str], None]) -> bool:
         """Create the private folders that were missing when :meth:`locked` was entered, and lock them.
 
         Args:
-            on_wait: called before waiting for another process that holds a lock.
+            on_wait: called before waiting for another process that holds a lock, with that process in words.
 
         Returns:
             Whether another run wrote to one of them meanwhile, so that what was planned is out of date.

@@ -19,14 +19,14 @@ from keymint.store.store import wait_for_lock
 
 
 def write_files(
-    root: Path, files: Mapping[Path, File], on_wait: Callable[[], None], wanted: Mapping[Path, File] | None = None
+    root: Path, files: Mapping[Path, File], on_wait: Callable[[str], None], wanted: Mapping[Path, File] | None = None
 ) -> None:
     """Replace files in their order, each in one step, after all of them are written beside.
 
     Args:
         root: the folder that they lie in, or in whose subfolders, which are created.
         files: new content by absolute path.
-        on_wait: called before waiting for another process that writes one of them.
+        on_wait: called before waiting for another process that writes one of them, with that process in words.
         wanted: further files, which are right; what a killed run left beside them is removed, too.
 
     Raises:
@@ -54,7 +54,7 @@ def _part(path: Path) -> str:
 
 
 @contextlib.contextmanager
-def _written(folders: OpenFolders, path: Path, file: File, on_wait: Callable[[], None]) -> Iterator[None]:
+def _written(folders: OpenFolders, path: Path, file: File, on_wait: Callable[[str], None]) -> Iterator[None]:
     """Write a file beside its place; it is removed after an error."""
     folder, name = folders.open(str(path.parent)), _part(path)
     replaced = require_regular(folder, path.parent, path.name)
@@ -73,7 +73,7 @@ def _written(folders: OpenFolders, path: Path, file: File, on_wait: Callable[[],
         os.close(opened)
 
 
-def _created(folder: int, name: str, on_wait: Callable[[], None]) -> int:
+def _created(folder: int, name: str, on_wait: Callable[[str], None]) -> int:
     """Return a new file that is locked."""
     while True:
         _remove_left_over(folder, name, on_wait)
@@ -90,7 +90,7 @@ def _created(folder: int, name: str, on_wait: Callable[[], None]) -> int:
             os.close(opened)
 
 
-def _remove_left_over(folder: int, name: str, on_wait: Callable[[], None]) -> None:
+def _remove_left_over(folder: int, name: str, on_wait: Callable[[str], None]) -> None:
     """Remove a file once nobody holds its lock."""
     with contextlib.suppress(FileNotFoundError), open_at(name, folder, FILE | os.O_RDWR) as opened:
         wait_for_lock(opened, fcntl.LOCK_EX, on_wait)

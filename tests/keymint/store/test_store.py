@@ -274,11 +274,11 @@ def test_a_link_as_the_folder_of_records_or_as_the_lock_is_refused(tmp_path: Pat
     (tmp_path / "elsewhere").mkdir()
     root.mkdir()
     (root / ".keymint").symlink_to(tmp_path / "elsewhere")
-    assert code_of(lambda: store.locked(lambda: None).__enter__()) == "symlink-refused"
+    assert code_of(lambda: store.locked(lambda _: None).__enter__()) == "symlink-refused"
     (root / ".keymint").unlink()
     (root / ".keymint").mkdir()
     (root / ".keymint" / "lock").symlink_to(tmp_path / "victim")
-    assert code_of(lambda: store.locked(lambda: None).__enter__()) == "symlink-refused"
+    assert code_of(lambda: store.locked(lambda _: None).__enter__()) == "symlink-refused"
     assert list((tmp_path / "elsewhere").iterdir()) == []
     assert not (tmp_path / "victim").exists()
 
@@ -539,7 +539,7 @@ def test_only_one_holds_the_lock_and_the_other_says_that_it_waits(root: Path, st
     def second() -> None:
         other = Store({root: False}, root / ".keymint")
 
-        def on_wait() -> None:
+        def on_wait(_process: str) -> None:
             order.append("waits")
             waits.set()
 
@@ -547,7 +547,7 @@ def test_only_one_holds_the_lock_and_the_other_says_that_it_waits(root: Path, st
             order.append("second")
 
     thread = threading.Thread(target=second)
-    with store.locked(lambda: order.append("never")):
+    with store.locked(lambda _: order.append("never")):
         thread.start()
         assert waits.wait(10)
         order.append("first ends")
@@ -561,12 +561,12 @@ def test_the_lock_of_a_process_that_died_is_free(root: Path, store: Store) -> No
         from pathlib import Path
         from keymint.store.store import Store
         root = Path(sys.argv[1])
-        Store({root: False}, root / ".keymint").locked(lambda: None).__enter__()
+        Store({root: False}, root / ".keymint").locked(lambda _: None).__enter__()
         os.kill(os.getpid(), 9)
     """)
     ran = subprocess.run([sys.executable, "-c", script, str(root)], check=False)
     assert ran.returncode == -9
-    with store.locked(lambda: pytest.fail("waits for a process that is dead")):
+    with store.locked(lambda _: pytest.fail("waits for a process that is dead")):
         pass
 
 
@@ -575,27 +575,27 @@ def test_stores_that_share_a_private_folder_exclude_each_other(root: Path) -> No
     order: list[str] = []
     made, waits = threading.Event(), threading.Event()
 
-    def second_waits() -> None:
+    def second_waits(_process: str) -> None:
         order.append("second waits")
         waits.set()
 
     def second() -> None:
-        with other.locked(lambda: pytest.fail("waits for another workspace that has no private folder yet")):
+        with other.locked(lambda _: pytest.fail("waits for another workspace that has no private folder yet")):
             ready.set()
             assert made.wait(10)
             order.append(f"second finds work {other.lock_missing(second_waits)}")
             assert other.missing == ()
-        with other.locked(lambda: None):
-            order.append(f"second has it {other.lock_missing(lambda: None)}")
+        with other.locked(lambda _: None):
+            order.append(f"second has it {other.lock_missing(lambda _: None)}")
 
     one, other = (Store({root: False, private: True}, root / name) for name in ("one", "other"))
     ready = threading.Event()
     thread = threading.Thread(target=second)
-    with one.locked(lambda: pytest.fail("waits for nobody")):
+    with one.locked(lambda _: pytest.fail("waits for nobody")):
         thread.start()
         assert ready.wait(10)
         assert one.missing == (str(private),)
-        assert not one.lock_missing(lambda: pytest.fail("waits for nobody"))
+        assert not one.lock_missing(lambda _: pytest.fail("waits for nobody"))
         assert stat.S_IMODE(private.stat().st_mode) == 0o700
         made.set()
         assert waits.wait(10)
@@ -605,9 +605,9 @@ def test_stores_that_share_a_private_folder_exclude_each_other(root: Path) -> No
 
 
 def test_the_lock_is_free_after_an_error(store: Store) -> None:
-    with pytest.raises(ValueError, match="inside"), store.locked(lambda: None):
+    with pytest.raises(ValueError, match="inside"), store.locked(lambda _: None):
         raise ValueError("inside")
-    with store.locked(lambda: pytest.fail("waits for itself")):
+    with store.locked(lambda _: pytest.fail("waits for itself")):
         pass
 
 

@@ -19,7 +19,7 @@ PART = ".key.pem.keymint-part"
 SECRET = File(b"secret", secret=True)
 
 
-def alone() -> None:
+def alone(_process: str) -> None:
     pytest.fail("waits for nobody")
 
 
@@ -58,7 +58,10 @@ def test_a_run_waits_for_another_one_that_writes_the_same_file(tmp_path: Path) -
     with (tmp_path / PART).open("wb") as other:
         fcntl.flock(other, fcntl.LOCK_EX)
         thread = threading.Thread(
-            target=lambda: (write_files(tmp_path, {tmp_path / "key.pem": SECRET}, waits.set), order.append("second"))
+            target=lambda: (
+                write_files(tmp_path, {tmp_path / "key.pem": SECRET}, lambda _: waits.set()),
+                order.append("second"),
+            )
         )
         thread.start()
         assert waits.wait(10)

@@ -5,6 +5,10 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import os
+import signal
+import subprocess
+import sys
 import threading
 from pathlib import Path
 
@@ -13,7 +17,7 @@ import pytest
 from keymint.store.store import LOCK, Store, path_lock
 
 
-def never() -> None:
+def never(_process: str) -> None:
     pytest.fail("waits although nobody writes")
 
 
@@ -41,7 +45,7 @@ def test_a_reader_waits_for_a_writer(tmp_path: Path, store: Store) -> None:
     order: list[str] = []
     waits = threading.Event()
 
-    def on_wait() -> None:
+    def on_wait(_process: str) -> None:
         order.append("waits")
         waits.set()
 
@@ -58,11 +62,35 @@ def test_a_reader_waits_for_a_writer(tmp_path: Path, store: Store) -> None:
     assert order == ["waits", "writer ends", "reads True"]
 
 
+@pytest.mark.parametrize("is_stopped", [False, True])
+def test_who_waits_is_told_for_which_process(tmp_path: Path, store: Store, *, is_stopped: bool) -> None:
+    told: list[str] = []
+    lock = tmp_path / ".keymint" / LOCK
+    words = f"import fcntl, sys; f = open({str(lock)!r}); fcntl.flock(f, fcntl.LOCK_EX); print(flush=True); input()"
+    with subprocess.Popen([sys.executable, "-c", words], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:
+        assert holder.stdin is not None
+        assert holder.stdout is not None
+        holder.stdout.readline()
+        if is_stopped:
+            holder.send_signal(signal.SIGSTOP)
+            os.waitpid(holder.pid, os.WUNTRACED)
+
+        def let_go(process: str) -> None:
+            told.append(process)
+            holder.send_signal(signal.SIGCONT)
+            holder.stdin.close()
+
+        with store.locked(let_go):
+            pass
+    more = f", which is stopped: 'kill -CONT {holder.pid}' lets it go on" if is_stopped else ""
+    assert told == [f" (process {holder.pid}{more})"]
+
+
 def test_a_writer_waits_for_a_reader(tmp_path: Path, store: Store) -> None:
     waits = threading.Event()
 
     def write() -> None:
-        with store.locked(waits.set):
+        with store.locked(lambda _: waits.set()):
             pass
 
     writer = threading.Thread(target=write)
@@ -96,7 +124,7 @@ def test_a_folder_is_locked_without_a_file_in_it(tmp_path: Path) -> None:
     waits = threading.Event()
 
     def write() -> None:
-        with path_lock(tmp_path, fcntl.LOCK_EX, waits.set) as held:
+        with path_lock(tmp_path, fcntl.LOCK_EX, lambda _: waits.set()) as held:
             order.append(f"writes {held}")
 
     writer = threading.Thread(target=write)
