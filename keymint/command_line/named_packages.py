@@ -54,7 +54,8 @@ class Names:
         state: of those that are named, else of all.
 
     Options:
-        listed: Also what this file names: a name or pattern a line; '#' begins a comment ['-': standard input].
+        listed: Also the subjects in this file ('-': standard input): a name or pattern on each line; '#' begins a
+            comment.
         state: Only packages that are due for renewal, stale (sources or policy changed), or revoked.
     """
 

@@ -171,7 +171,7 @@ def threshold(value: str) -> Threshold:
 valid_for_option = option(
     type=iso_validity,
     metavar="PERIOD",
-    help="Length of validity of certificates and grants, from a day back on: 90d, 12h, 2y, P6M [1 year].",
+    help="Length of validity of certificates and grants, which begins a day ago: 90d, 12h, 2y, P6M [1 year].",
 )
 
 

@@ -348,4 +348,4 @@ def common_options(
     if dry_run:
         yield click.Option(["--dry-run"], is_flag=True, help="Show what would change; write nothing.")
     if yes:
-        yield click.Option(["--yes"], is_flag=True, help="Do not ask, or stop, before something is taken away.")
+        yield click.Option(["--yes"], is_flag=True, help="Neither ask nor stop before something is taken away.")

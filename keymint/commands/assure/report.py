@@ -63,9 +63,9 @@ def report(
 ) -> Report:
     """Write evidence for an audit: rights by risk, who reaches what, certificates, changes, proofs, findings, runs.
 
-    All parts are read from one snapshot of the workspace, by the verbs that show them one by one. What cannot be read
-    is unknown, and the report says so; it also lists what it does not examine. The page needs no network and no script.
-    docs/audit.md reads one, and shows how to make an authority that signs reports.
+    All parts are read from one snapshot of the workspace, by the verbs that show them one by one. What cannot be
+    read is unknown, and the report says so; it also lists what it does not examine. The page needs no network and
+    no script. docs/audit.md explains the page, and shows how to make an authority that signs reports.
 
     Exit code 3: a part is unknown. Findings are in the report; 'keymint check' fails on them.
 

@@ -45,8 +45,8 @@ def status(
 ) -> Report:
     """Show a table of all packages: the stage, whether it is stale, when it expires, and when to renew it.
 
-    RENEW AFTER is from when on 'keymint renew' takes it up; 'with CA' means that it ends with this authority, which
-    must be renewed before. NAME is a package [all].
+    RENEW AFTER is the date from which 'keymint renew' renews the package. 'with CA': renew that authority first;
+    the package expires with it. NAME is a package [all].
 
     Options:
         kind: openmetrics: dates in seconds since 1970, for a monitor such as Prometheus.

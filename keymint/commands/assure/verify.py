@@ -61,7 +61,7 @@ def verify(
     junit: Path | None = path_option(kind=FILE),
     report: Path | None = option(type=click.Path(path_type=Path, file_okay=False), metavar="DIR"),
 ) -> Report:
-    """Compare the decisions of transports on installed enclaves with the policy, edge by edge.
+    """Ask each implementation of a transport what it permits, and compare every answer with the policy.
 
     \b
     false positive: a transport allows what the policy denies
@@ -77,7 +77,7 @@ def verify(
             and names that probe its patterns].
         tier: What to test: access-control code, endpoint creation, or data exchange.
         ros: Ask the ROS 2 that is sourced: a stand-in node for each enclave tries each right and each near miss, in a
-            network of its own that has nothing but loopback.
+            network namespace with only loopback.
         limit: Mismatches to list per implementation.
         sarif: Write the mismatches as SARIF 2.1.0.
         junit: Write the results as JUnit XML.

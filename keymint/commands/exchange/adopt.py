@@ -47,15 +47,15 @@ def adopt(
     distro: str | None = distro_option,
     profile_type: str = library_option,
 ) -> Report:
-    """Examine KEYSTORE, which another tool made, and take it over: 'ros2 security', openssl, or a vendor's guide.
+    """Examine KEYSTORE, which another tool made ('ros2 security', openssl), and take it over.
 
     \b
     keymint adopt demo_keystore policy.xml                      reads both, and writes nothing
     keymint adopt demo_keystore policy.xml --apply -w my_ws     makes a workspace; KEYSTORE stays as it is
     keymint adopt demo_keystore --apply -w my_ws                the same with a policy that is made from what is signed
 
-    For each enclave: whether its certificate, key and signed documents belong together, how they compare with POLICY,
-    until when they are good, and who can read its key. No link is followed that leads out of KEYSTORE.
+    Shows for each enclave whether its certificate, key and signed documents belong together, how they compare with
+    POLICY, how long they are valid, and who can read its key. Follows no link that leads out of KEYSTORE.
 
     With --apply, the workspace has the same authorities, keys, certificates and signed documents. The next build and
     install change nothing that robots have; if they would, nothing is written. Exit code 3: there are findings.
@@ -63,7 +63,7 @@ def adopt(
     Options:
         applied: Write the workspace; without it nothing is written.
         as_written: Take POLICY as it reads where the other tool enforces something else.
-        implicit: POLICY of another tool has the rules that this tool adds by itself.
+        implicit: Include the rules that the tool of POLICY adds by itself.
         profile_type: Plugin that makes the profile.
     """
     workspace, folder = run.workspace_at(None), run.setting.cwd / keystore

@@ -38,9 +38,9 @@ def export(
     What that language cannot express is an error with its line. --lossy leaves out what only allows something; a DENY
     is never left out, since more would be allowed without it.
 
-    If the tool makes documents of it for a transport, nothing is written unless these permit what the policy allows,
-    for every name, as the transport's standard reads them; what vendors read otherwise is noted. XACML is not of that
-    kind, and written without a proof.
+    If the other tool compiles documents for a transport, nothing is written unless they permit what the policy
+    allows, for every name, as the transport's standard reads them; differences between vendors are notes. XACML is
+    written without a proof.
 
     Options:
         form: The format: of a policy type, or xacml.

@@ -47,17 +47,17 @@ def import_policy(
     keymint import policy.xml -o comarmor.d
     keymint provision comarmor.d -w my_ws
 
-    There is one profile for each enclave of POLICY, with its comments. What cannot be expressed is an error with its
-    line, and so is what the other tool enforces differently from what POLICY says: change POLICY, or take it as it
-    reads with --as-written, which warns of each change.
+    Makes one profile for each enclave of POLICY, and keeps comments. What a ComArmor policy cannot express is an
+    error with its line. So is a rule for which the other tool would enforce something other than POLICY says:
+    change POLICY, or use --as-written, which takes POLICY as it reads and warns of each change.
 
     Nothing is written unless, for every name, what is compiled from the new policy permits what the other tool's
-    documents permit, as the transport's standard reads them; what vendors read otherwise is noted.
+    documents permit, as the transport's standard reads them; differences between vendors are notes.
 
     Options:
         output: Write the new policy into this folder, as NAME.xml.
         as_written: Take the policy as it reads where the other tool enforces something else.
-        implicit: With the rules that the other tool adds by itself.
+        implicit: Include the rules that the other tool adds by itself.
         profile_type: Plugin that ships the policy library.
     """
     policies = Policies(run, PolicyOptions(distro, profile_type, ""))

@@ -26,6 +26,6 @@ _OTHERS = dict.fromkeys(("renew", "import", "encrypt"), "change")
 def authority() -> None:
     """Show, renew, replace, encrypt, import or export the certificate authorities of a workspace.
 
-    An authority signs with its private key in private/, or where that key is; enclaves only have its certificate.
+    An authority signs with its private key, in private/ or elsewhere; enclaves contain only its certificate.
     docs/keystore-life.md says what each change costs a running fleet.
     """

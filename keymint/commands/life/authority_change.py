@@ -98,9 +98,9 @@ def _told(plan: Plan, session: Session, name: str) -> Plan:
 def authority_renew(run: Run, name: str = authority_argument, flag_day: bool = flag_day_option) -> Report:
     """Issue an authority's certificate again for the same key and name: it begins now, and is valid as long as before.
 
-    All enclaves get the new certificate. If the authority issues identities, robots with the old certificate and robots
-    with the new one work together. If it signs documents, these are signed again, and vendors let subjects that hold
-    different certificates of it not communicate: that needs --flag-day.
+    All enclaves get the new certificate. If the authority issues identities, robots with the old certificate and
+    robots with the new one work together. If it signs documents, these are signed again, and subjects with
+    different certificates of it cannot communicate: that needs --flag-day.
     """
     return run.change(
         lambda session: issued_again(run, session, changes.plan_renewal(session, name), name, flag_day=flag_day)
@@ -117,9 +117,9 @@ def authority_import(
 ) -> Report:
     """Use the certificate of an authority that somebody else issued, as it is.
 
-    CERTIFICATE is a PEM file. Its private key may stay elsewhere: then everything works here that needs no signature of
-    it. Once enclaves are installed, the certificate must be for the key that they trust; another key is the matter of
-    'keymint authority replace'.
+    CERTIFICATE is a PEM file. Its private key may stay elsewhere: then everything that needs no signature by it
+    works here. Once enclaves are installed, the certificate must be for the key that they trust; to change the key,
+    use 'keymint authority replace'.
 
     Options:
         key_file: Its private key, which is copied into private/.

@@ -32,10 +32,11 @@ def authority_replace(
 ) -> Report:
     """Replace the key of an authority, phase by phase.
 
-    Where subjects may trust two authorities: all enclaves get both certificates (distribute), then certificates by the
-    next one (reissue), then it alone (end). Elsewhere a second keystore by the next authority is made in install.next/
-    (stage), all robots switch to it (ROS_SECURITY_KEYSTORE) at a common restart, and it becomes install/ (end). How far
-    it has come stands in profile/; the same command again completes its phase. --dry-run says what each phase does.
+    Where subjects may trust two authorities: all enclaves get both certificates (distribute), then certificates by
+    the next one (reissue), then it alone (end). Elsewhere a second keystore by the next authority is made in
+    install.next/ (stage), all robots switch to it (ROS_SECURITY_KEYSTORE) at a common restart, and it becomes
+    install/ (end). profile/authority_issuance.xml records the current phase; the same command again completes it.
+    --dry-run says what each phase does.
 
     Options:
         phase: Go on to this phase: all robots have the keystore of the one before it.

@@ -34,12 +34,12 @@ def crl(
 ) -> Report:
     """Show the revocation lists: number, dates, and revoked certificates.
 
-    A list ends with its authority. An expired one would keep each node that has it from starting, so a shorter
-    period must be asked for.
+    A list expires with its authority, unless --valid-for gives it a shorter period: a node with an expired list
+    does not start.
 
     Options:
         refresh: Issue the lists again, with a higher number, and put them into all enclaves.
-        rebuild: Make the lost register of issued certificates again, although it cannot have all revocations.
+        rebuild: Make a lost register of issued certificates again from what is left; it may lack revocations.
         valid_for: With --refresh, let the lists end after this time: 30d, 4w. Nodes with an expired list do not start.
     """
     if valid_for is not None and not refresh:

@@ -32,14 +32,14 @@ def harden(
     applied: bool = flag("--apply"),
     flag_day: bool = flag_day_option,
 ) -> Report:
-    """Say which steps are open and what each costs; do one of them with --apply.
+    """List the steps that are open and what each costs; --apply does one of them.
 
     \b
     authority      a second authority signs documents: the one that issues identities cannot any more
     identifiers    the certificates of authorities get key identifiers and the right to sign revocation lists
     names          a unique RDN in the subject names of the packages NAME [all]
 
-    Private keys in the workspace are 0600 already; on robots that is 'chmod 600'.
+    Private keys in the workspace already have mode 0600; on robots, use 'chmod 600'.
 
     Options:
         applied: Do the step; without it, see its cost and change nothing.

@@ -32,8 +32,8 @@ def issued_certificates(
 
     Options:
         revoked: Only certificates that were revoked.
-        tolerate: Tolerate that holders may present documents of NAME that were signed before and permit more than the
-            policy, until these end: 'check', 'prove' and 'status' mention them no more.
+        tolerate: Accept that holders may still present documents of NAME that were signed before and permit more than
+            the policy, until they expire: 'check', 'prove' and 'status' no longer report them.
     """
     if tolerate:
         return run.change(partial(_accepted, run, names))

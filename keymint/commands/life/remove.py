@@ -19,8 +19,8 @@ from keymint.workspace.session import Session
 def remove(run: Run, names: Names = names_group(required=True), never_deployed: bool = flag()) -> Report:
     """Remove packages for good: sources, documents, key and enclave; their certificates are revoked as retired.
 
-    Remove them from the policy first, or they would be made again. Every other enclave gets the revocation list; deploy
-    and restart those that are listed. NAME is a package, or an enclave whose package is gone.
+    Remove them from the policy first, or they would be made again. Every other enclave receives the revocation
+    list; deploy and restart those that are listed. NAME is a package, or an enclave whose package is gone.
 
     A package that is made again under the same name gets a new key, and goes on with the next generation.
 

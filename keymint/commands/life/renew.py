@@ -42,11 +42,12 @@ def renew(
 ) -> Report:
     """Renew certificates and permissions that are due, for the same keys; nothing else changes.
 
-    Due is what the certificate, the permissions or the revocation list of an enclave say, whichever comes first. NAME
-    is a package, renewed at any time but on the day of issue, when the dates would stay [all that are due]. Deploy the
-    renewed enclaves and restart their processes before the old documents end; all others go on as they are.
+    A package is due when its certificate, permissions or revocation list is, whichever comes first. NAME is a
+    package, also one that is not due; on the day of its issue there is nothing to renew [all that are due]. Deploy
+    the renewed enclaves and restart their processes before the old documents expire; no other process needs a
+    restart.
 
-    An authority is reported when it is due, and never renewed on the way.
+    An authority that is due is reported; only 'keymint authority renew' renews it.
 
     \b
     Exit codes, e.g. for cron:
@@ -56,7 +57,7 @@ def renew(
 
     Options:
         threshold: Due after this part of the validity, or if it ends within this time: 66%, 30d.
-        rekey: Also make new keys; the way back for a package whose key is barred.
+        rekey: Also make new keys; needed for a package whose key was revoked.
     """
     is_left = False
 

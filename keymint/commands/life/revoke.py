@@ -35,9 +35,9 @@ def revoke(
 ) -> Report:
     """Revoke the certificates of some packages.
 
-    Their serial numbers go to the revocation list of the authority, which every enclave gets as crl.pem, and the
-    generation in their sources rises, so that permissions that were signed before fit no later certificate. A list
-    takes effect when the peers restart. NAME is a package, also one whose sources are gone.
+    Adds their serial numbers to the revocation list of the authority, which every enclave receives as crl.pem, and
+    raises the generation in their sources: permissions signed before the revocation do not match any later
+    certificate. A peer applies the list when it restarts. NAME is a package, also one whose sources are gone.
 
     With the reason superseded a new certificate for the same key is installed. Otherwise the enclave is removed, until
     'keymint renew --rekey NAME' makes a new key.

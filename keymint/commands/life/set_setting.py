@@ -24,14 +24,14 @@ STAGE = "set"
 def set_setting(
     run: Run, setting: str | None = argument(required=False), value: str | None = argument(required=False)
 ) -> Report:
-    """Change a setting that the workspace got from 'init': in its profile, whose comments and layout stay.
+    """Change a setting of the workspace in its profile, whose comments and layout stay.
 
     \b
     SETTING is one of
       domain, distro, subject-format, valid-for
     with a VALUE as 'keymint init --help' says. Without VALUE, the settings are shown.
 
-    Nothing is signed. What the next 'build' and 'install', or 'provision', will sign again is listed.
+    Signs nothing, and lists what the next 'build' and 'install', or 'provision', will sign again.
     """
     session = run.session()
     known = session.profile_type.SETTINGS

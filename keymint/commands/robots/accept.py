@@ -42,10 +42,11 @@ def accept(
     fingerprints: tuple[str, ...] = option("--authority-fingerprint", multiple=True, metavar="SHA256"),
     new: bool = flag(),
 ) -> Report:
-    """Take bundles that an authority made for this robot ('keymint sign', 'keymint bundle'); each is for one enclave.
+    """Accept bundles that an authority made for this robot, each for one enclave: 'keymint sign', 'keymint bundle'.
 
-    Needs no workspace. A bundle is taken if an authority signed it that this keystore trusts, if this robot has its
-    key, and if no number in it goes back; else nothing changes. The folder of an enclave changes in one step.
+    Needs no workspace. A bundle is accepted if an authority that this keystore trusts signed it, if this robot has
+    its key, and if none of its numbers is lower than the last one; otherwise nothing changes. The folder of an
+    enclave changes in one step.
 
     Options:
         fingerprints: Trust the authority with this key; needed the first time, and when an authority gets a new key.

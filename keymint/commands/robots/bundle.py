@@ -52,12 +52,13 @@ def bundle(
 ) -> Report:
     """Write installed enclaves into bundles, one for each, which robots take with 'keymint accept'.
 
-    A bundle is signed by the authority of the enclave's certificate, and numbered, so that a robot never goes back. It
-    has the private key if this workspace made it; then keep it as secret as the key. NAME is an installed package, and
-    PATTERN matches the names of several: '/robot1/*'.
+    A bundle is signed by the authority of the enclave's certificate, and numbered, so that a robot refuses an older
+    one. It contains the private key if this workspace made it; then keep the bundle as secret as the key. NAME is
+    an installed package, and PATTERN matches the names of several: '/robot1/*'.
 
     Options:
-        staged: Of the second keystore, which 'keymint authority replace' staged; accept it into a copy of the keystore.
+        staged: Bundle enclaves of the second keystore, which 'keymint authority replace' staged; the robot accepts them
+            into a copy of its keystore.
     """
     made: list[MadeBundle] = []
 

@@ -29,8 +29,8 @@ def env(
 
     An error prints 'false', so that eval fails: eval "$(keymint env …)" && ros2 run … starts nothing without security.
 
-    All processes of a shell find the keystore, each by the name of its enclave, after 'source install/keystore.bash'
-    (.zsh, .fish).
+    After 'source install/keystore.bash' (.zsh, .fish), all processes of a shell find the keystore, each by the name
+    of its enclave.
 
     Options:
         shell: Syntax to print.

@@ -48,23 +48,23 @@ def request(
 ) -> Report:
     """Ask for a certificate, on the robot: make a key that never leaves it, and a request to carry to the authority.
 
-    Needs no workspace. NAME is the enclave, e.g. /robot1/talker. The fingerprint that is printed goes to the authority
-    by another way than the request, e.g. by telephone: whoever carries the request could exchange it.
+    Needs no workspace. NAME is the enclave, e.g. /robot1/talker. Tell the authority the printed fingerprint over
+    another channel than the request, e.g. by telephone: whoever carries the request could exchange it.
 
-    An enclave that has a key keeps it, and the request is signed by it, as with --rekey by the old key. Then the
+    An enclave that has a key keeps it, and that key signs the request; with --rekey, the old key signs it. Then the
     authority needs no fingerprint.
 
-    With --pkcs11 no key is made: a token of this robot has it, and signs the request. Name the same URI in the sources
-    of the enclave's package, so that its node finds the key.
+    With --pkcs11 no key is made: the key is in a token of this robot, which signs the request. Name the same URI in
+    the sources of the enclave's package, so that its node finds the key.
 
-    A request that is not answered yet is written again.
+    Until a request is answered, the same command writes it again.
 
     Options:
         output: The request [NAME.request.pem].
         rekey: Make a new key for an enclave that has one; the old one signs the request.
         discard: Discard a request that waits for its answer, with its key.
         key_type: Kind of a new key.
-        uri: The key lies in a token: its URI (RFC 7512).
+        uri: URI of a key in a token (RFC 7512).
     """
     name = package_name(name)
     keystore = keystore_of(run, folder)

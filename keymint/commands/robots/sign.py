@@ -47,9 +47,9 @@ def sign(
 ) -> Report:
     """Certify keys that robots made ('keymint request'), and write the bundles that they take ('keymint accept').
 
-    Only the public key is taken from a request; the name, the validity and the rights are those of the package here.
-    Whoever carried the request may have exchanged the key in it. So its fingerprint, as it was read at the robot, must
-    be given, unless the key that the package has signed the request.
+    Only the public key is taken from a request; the name, the validity and the rights are those of the package
+    here. Whoever carried the request may have exchanged the key in it. So give its fingerprint, as read at the
+    robot, unless the package's present key signed the request.
 
     Options:
         typed: The fingerprint of the key, as read at the robot; 'keymint request' prints it there. May be repeated.

@@ -17,7 +17,7 @@ _WRAPPER = partial(textwrap.TextWrapper, 80, subsequent_indent=" " * 10, break_o
 
 @verb(workspace=False)
 def explain(run: Run, codes: tuple[str, ...] = argument(nargs=-1, metavar="[CODE]...")) -> Report:
-    """Say what CODE means, which stands in brackets at the end of each message: cause, effect and remedy.
+    """Explain CODE, the word in brackets at the end of each message: cause, effect and remedy.
 
     Without a CODE, list all codes. It needs neither a workspace nor a network.
     """

@@ -18,7 +18,8 @@ from keymint.errors import ExitCode, KeymintError
 def plugins(run: Run) -> Report:
     """List the installed plugins: group, name, version, distribution, and whether each loads.
 
-    Then the ROS packages of AMENT_PREFIX_PATH that ship profiles, which policies include as package://PACKAGE/FILE.xml.
+    Also lists the ROS packages in AMENT_PREFIX_PATH that ship profiles; policies include these as
+    package://PACKAGE/FILE.xml.
     """
     diagnostics: list[Diagnostic] = []
     listed: list[dict[str, Any]] = []

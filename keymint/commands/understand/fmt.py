@@ -53,8 +53,8 @@ def fmt(
     """Bring policies, files that they include, and policy tests into their canonical form.
 
     PATH is a file, a directory with all that is below it, a workspace, or - for standard input, which is written to
-    standard output [the policies of the current workspace]. In directories, files that are no policies stay as they
-    are, and links and hidden files are left out.
+    standard output [the policies of the current workspace]. In directories, files that are not policies stay
+    unchanged, and links and hidden files are skipped.
 
     A policy means the same afterwards, and keeps all its comments; docs/language.md has the rules. If a file has an
     error, none is changed.

@@ -93,10 +93,10 @@ def graph(
         namespaces: Draw only subjects at or below this name.
         only: Draw only edges with this label.
         split: Draw one panel for each.
-        fold: Draw one of the robots that are equal up to the name [beyond 30 subjects or 600 lines], and objects with
-            the same edges as one [from 40 objects on].
+        fold: Draw one of several robots that differ in name only [beyond 30 subjects or 600 lines], and objects with
+            the same edges as one [from 40 objects].
         group: Draw the subjects of a namespace as a matrix [where more than 30 subjects or 600 lines remain].
-        common: Draw also what every node may do: parameters, logging, time, discovery.
+        common: Also draw what every node may do: parameters, logging, time, discovery.
         limit: Draw at most this many edges, and count the others by kind [no limit].
         theme: Colours; auto follows the reader's settings.
         scale: Resolution of a PNG.
