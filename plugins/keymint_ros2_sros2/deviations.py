@@ -9,14 +9,14 @@ what no keystore can hold, are its deviations.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
-
-from lxml import etree
+from pathlib import Path
 
 from comarmor.errors import ComArmorError, Diagnostic
 from comarmor.rules import Effect, is_subject
 from comarmor.text import quote
+from keymint.api.xml_templates import xml_document
 from keymint_ros2_sros2 import syntax
 
 _LONGEST_PATH = 1024
@@ -115,10 +115,6 @@ def _names(node: syntax.RosNode, text: str) -> str:
     return f"SROS2 enforces {quote(syntax.enforced_name(node, text))}, not {quote(syntax.as_read(node, text))}"
 
 
-_XSI = "http://www.w3.org/2001/XMLSchema-instance"
-_SCHEMA = "http://www.omg.org/spec/DDS-SECURITY/20170901/omg_shared_ca_permissions.xsd"
-_BEGIN, _END = "2000-01-01T00:00:00", "2001-01-01T00:00:00"
-"""Any period: SROS2 takes that of the certificate."""
 _REQUESTS = tuple(f"/_action/{name}Request" for name in ("cancel_goal", "get_result", "send_goal"))
 _REPLIES = tuple(f"/_action/{name}Reply" for name in ("cancel_goal", "get_result", "send_goal"))
 _TOPICS = tuple(f"/_action/{name}" for name in ("feedback", "status"))
@@ -132,7 +128,6 @@ _PARTS = {
 }
 """What a permission on a name lets do, and the DDS topics: what stands before the name, and what may stand after it."""
 
-_ACTIONS = ("publish", "subscribe")
 _Topic = tuple[str, str]
 """What may be done, and the DDS topic."""
 
@@ -143,41 +138,20 @@ def subject_name(enclave: syntax.Sros2Enclave) -> str:
 
 
 def permissions_document(enclave: syntax.Sros2Enclave, *, graph: bool) -> bytes:
-    """Return the permissions document that SROS2 writes for an enclave, for domain 0.
+    """Return the permissions document that SROS2 writes for an enclave, for domain 0 and any period.
 
     Args:
         enclave: the enclave.
         graph: as SROS2 does with an RMW that has the graph's topic, from version 0.2.0 on.
     """
-    root = etree.Element("dds", nsmap={"xsi": _XSI})
-    root.set(f"{{{_XSI}}}noNamespaceSchemaLocation", _SCHEMA)
-    permissions = etree.SubElement(root, "permissions")
-    for group in enclave.groups:
-        grant = etree.SubElement(permissions, "grant", name=enclave.path)
-        etree.SubElement(grant, "subject_name").text = subject_name(enclave)
-        validity = etree.SubElement(grant, "validity")
-        etree.SubElement(validity, "not_before").text = _BEGIN
-        etree.SubElement(validity, "not_after").text = _END
-        _add_rule(grant, "deny_rule", set(_topics(group, Effect.DENY)))
-        _add_rule(grant, "allow_rule", set(_topics(group, Effect.ALLOW)))
-        if graph:
-            _add_rule(grant, "allow_rule", {(action, syntax.GRAPH_TOPIC) for action in _ACTIONS})
-        etree.SubElement(grant, "default").text = "DENY"
-    etree.indent(root)
-    return etree.tostring(root, encoding="UTF-8", xml_declaration=True)
-
-
-def _add_rule(grant: etree._Element, tag: str, topics: Collection[_Topic]) -> None:
-    """Add a rule for domain 0, if there are topics for it."""
-    if not topics:
-        return
-    rule = etree.SubElement(grant, tag)
-    etree.SubElement(etree.SubElement(rule, "domains"), "id").text = "0"
-    for action in _ACTIONS:
-        if names := sorted(name for each, name in topics if each == action):
-            listed = etree.SubElement(etree.SubElement(rule, action), "topics")
-            for name in names:
-                etree.SubElement(listed, "topic").text = name
+    by_itself = [("allow_rule", [(action, syntax.GRAPH_TOPIC) for action in ("publish", "subscribe")])] if graph else []
+    effects = {"deny_rule": Effect.DENY, "allow_rule": Effect.ALLOW}
+    grants = [
+        [*((tag, sorted({*_topics(group, effect)})) for tag, effect in effects.items()), *by_itself]
+        for group in enclave.groups
+    ]
+    template = Path(__file__).with_name("permissions.xml.j2")
+    return xml_document(template, path=enclave.path, subject_name=subject_name(enclave), grants=grants)
 
 
 def _topics(group: syntax.NodeGroup, effect: Effect) -> Iterator[_Topic]:

@@ -10,12 +10,10 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
 from types import MappingProxyType
 
-from lxml import etree
-
 from comarmor.errors import Diagnostic, Origin, Severity
-from comarmor.language import formatting
 from comarmor.patterns import glob
 from comarmor.patterns.expression import exact, matches
 from comarmor.patterns.glob import Glob
@@ -24,6 +22,7 @@ from comarmor.regex import lazy_regex
 from comarmor.rules import PARTS, Effect, Rule, is_subject
 from comarmor.text import quote
 from keymint.api import ExportedPolicy, ImportedSubject
+from keymint.api.xml_templates import xml_document
 from keymint.errors import KeymintError, UnsayableError
 from keymint.ir import SubjectRules
 from keymint_ros2_sros2 import syntax
@@ -166,7 +165,10 @@ def export_policy(subjects: Sequence[SubjectRules], *, lossy: bool = False) -> E
         ImportedSubject(kept, permissions_document(enclave, graph=graph), subject_name(enclave))
         for enclave, kept, graph in enclaves
     )
-    return ExportedPolicy(_document(each for each, *_ in enclaves), tuple(dict.fromkeys(found)), made)
+    written = [enclave for enclave, *_ in enclaves]
+    template = Path(__file__).with_name("policy.xml.j2")
+    document = xml_document(template, enclaves=written, version=syntax.NEW, permissions=syntax.PERMISSIONS)
+    return ExportedPolicy(document, tuple(dict.fromkeys(found)), made)
 
 
 def _enclave(
@@ -248,20 +250,3 @@ def _lists(rule: Rule, names: dict[_Name, None]) -> list[syntax.RuleList]:
         )
         for (tag, given), texts in groups.items()
     ]  # fmt: skip
-
-
-def _document(enclaves: Iterable[syntax.Sros2Enclave]) -> bytes:
-    root = etree.Element("policy", version=syntax.NEW)
-    parent = etree.SubElement(root, "enclaves")
-    for enclave in enclaves:
-        profiles = etree.SubElement(etree.SubElement(parent, "enclave", path=enclave.path), "profiles")
-        for node in enclave.nodes():
-            profile = etree.SubElement(profiles, "profile", ns=node.ns, node=node.name)
-            for rules in node.lists:
-                listed = etree.SubElement(profile, rules.tag)
-                for attribute, permission in syntax.PERMISSIONS[rules.tag].items():
-                    if permission in rules.effects:
-                        listed.set(attribute, rules.effects[permission].value)
-                for entry in rules.entries:
-                    etree.SubElement(listed, rules.tag.removesuffix("s")).text = entry.text
-    return formatting.document(root).encode()

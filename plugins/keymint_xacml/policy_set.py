@@ -22,9 +22,6 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from urllib.parse import quote as percent_encoded
 
-from jinja2 import Environment, StrictUndefined
-from markupsafe import Markup
-
 from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns.glob import literal, parse
 from comarmor.patterns.tokens import ANY, COMARMOR, MAX_CODE, Charset, Star, Token
@@ -32,6 +29,7 @@ from comarmor.rules import Effect, Rule, parts
 from comarmor.text import one_line, quote
 from comarmor.values import dataclass
 from keymint.api import ExportedPolicy
+from keymint.api.xml_templates import xml_document
 from keymint.errors import KeymintError, UnsayableError
 from keymint.ir import SubjectRules
 
@@ -99,9 +97,6 @@ def _set(charset: Charset) -> str:
     return f"[{'^' if is_negated else ''}{members}]"
 
 
-_TEXT = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", "\r": "&#13;"})
-
-
 _XacmlRule = tuple[Rule, str, Mapping[str, Collection[TextMatch]]]
 """The rule that a rule of XACML comes from, with its file and line, and by attribute what any of matches.
 
@@ -162,11 +157,6 @@ def _unsayable(rule: Rule, reason: str, subject: str, *, lossy: bool) -> Diagnos
 
 
 def _document(subjects: Iterable[tuple[str, Sequence[_XacmlRule]]]) -> bytes:
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
-    )
-    environment.filters["xml"] = lambda text: Markup(text.translate(_TEXT))  # noqa: S704 - quotes stay as they are
-    template = environment.from_string(Path(__file__).with_suffix(".xml.j2").read_text(encoding="utf-8"))
     # Without rules the outer set denies everything.
     policies = [(name, percent_encoded(name), [TextMatch(name)], rules) for name, rules in subjects if rules]
-    return template.render(policies=policies).encode()
+    return xml_document(Path(__file__).with_suffix(".xml.j2"), policies=policies)
