@@ -18,6 +18,7 @@ from typing import IO, Any, TypeVar
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import encodable_value, natural_order, one_line, printable_lines, quantity
 from comarmor.values import dataclass
+from keymint.errors import ExitCode
 from keymint.host.streams_and_signals import Output
 from keymint.output.report import Report, report_json, rolled_up
 from keymint.store.changes import Action, Step
@@ -110,6 +111,10 @@ class Console:
             self._streams.out.write(f"{document}\n")
             return
         self.diagnostics(report.diagnostics, report.notes)
+        if self._verbosity < 0 and report.exit_code == ExitCode.FINDINGS:
+            hidden = report.diagnostics
+            if hidden and all(each.severity is not Severity.ERROR for each in hidden):
+                self._say_err(f"{quantity(len(hidden), 'message')} not shown (leave out -q)")
         if self._verbosity >= 0:
             self._steps(report)
 

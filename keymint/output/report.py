@@ -71,22 +71,20 @@ def merged_diagnostics(diagnostics: Sequence[Diagnostic]) -> tuple[Diagnostic, .
 
 
 def rolled_up(items: Sequence[_T]) -> Iterator[tuple[_T, int]]:
-    """Yield items, each with 1; where more than :data:`FEW` are alike, the first of them with their number.
+    """Yield items, each with the number of those that it stands for; where more than :data:`FEW` are alike, the first.
 
-    A fleet so prints as few lines as a robot.
+    A fleet so prints as few lines as a robot. Of errors, which somebody must mend, the first :data:`FEW` are yielded.
 
     Args:
         items: diagnostics, steps or lines, in the order in which they are shown.
     """
     kinds = [_kind(each) for each in items]
-    numbers = Counter(kinds)
+    numbers, seen = Counter(kinds), Counter[tuple[str, str, str]]()
     for item, own in zip(items, kinds, strict=True):
-        number = numbers[own]
-        if number > FEW:
-            numbers[own] = 0
-            yield item, number
-        elif number:
-            yield item, 1
+        seen[own] += 1
+        most = FEW if own[1] == Severity.ERROR or numbers[own] <= FEW else 1
+        if seen[own] <= most:
+            yield item, numbers[own] - most + 1 if seen[own] == most < numbers[own] else 1
 
 
 def _kind(item: Diagnostic | Step | str) -> tuple[str, str, str]:

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 import pytest
 
 from comarmor.errors import Diagnostic, Origin
+from keymint.errors import ExitCode
 from keymint.output.console import Console, Streams
 from keymint.output.report import FEW, Report
 from keymint.store.changes import Action, FolderChange, Step
@@ -56,6 +57,24 @@ def test_few_are_shown_one_by_one_and_so_are_all_with_v() -> None:
     assert len(shown(report(expiring(FEW)))[1]) == FEW
     assert len(shown(report(expiring(FEW + 1)))[1]) == 1
     assert len(shown(report(expiring(300)), verbosity=1)[1]) == 300
+
+
+def test_of_errors_the_first_are_shown_since_each_must_be_mended() -> None:
+    errors = [Diagnostic.error("key-invalid", each.message, each.where, each.help) for each in expiring(300)]
+    _, lines = shown(report(errors))
+    assert [line.partition(":")[0] for line in lines] == [f"install/enclaves/r{at}/arm/cert.pem" for at in range(FEW)]
+    assert [line.partition("] ")[2] for line in lines] == [""] * (FEW - 1) + ["(1 of 291 alike; -v shows all)"]
+    assert len(shown(report(errors[:FEW]))[1]) == FEW
+
+
+@pytest.mark.parametrize(
+    ("more", "said"), [([], ["2 warnings not shown (leave out -q)"]), ([Diagnostic.error("c", "m")], ["error: m [c]"])]
+)
+def test_a_quiet_run_that_ends_with_3_says_why(more: list[Diagnostic], said: list[str]) -> None:
+    found = Report("check", diagnostics=[*expiring(2), *more], exit_code=ExitCode.FINDINGS)
+    assert shown(found, verbosity=-1) == ([], said)
+    assert shown(Report("diff", exit_code=ExitCode.FINDINGS), verbosity=-1) == ([], [])
+    assert shown(report(expiring(2)), verbosity=-1) == ([], [])
 
 
 def test_what_differs_by_more_than_names_is_not_alike() -> None:
