@@ -49,11 +49,14 @@ class BuildResult:
         documents: unsigned documents by file name.
         diagnostics: findings on them.
         plain_sizes: size in bytes of each optimised document before optimisation.
+        alike: an object that the results for several packages have in common if their documents differ in names only,
+            so that what is proven about one of them holds for all, whichever claims; else None. See ADR 0026.
     """
 
     documents: Mapping[str, bytes]
     diagnostics: tuple[Diagnostic, ...] = ()
     plain_sizes: Mapping[str, int] = field(default_factory=dict)
+    alike: object | None = field(default=None, repr=False, compare=False)
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from datetime import UTC
 from types import MappingProxyType
+from typing import NamedTuple
 
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes
@@ -103,48 +105,100 @@ def form(
     )
 
 
-def common_parts(certificate: x509.Certificate) -> tuple[bytes, ...]:
-    """Return what the DER of a certificate shares with one for another name and key; see :func:`fill`.
+class CommonParts(NamedTuple):
+    """What the DER of a certificate shares with one for another name and key.
 
-    It is derived from what the library wrote. The identifier of the key must be its hash, as it is by default.
-
-    Returns:
-        The version; the algorithm, and this with issuer and validity; the extensions before and after the identifier.
-        Nothing if the identifier's place is not certain.
+    Attributes:
+        version: its version.
+        algorithm: the algorithm of its signature.
+        middle: this with issuer and validity.
+        before: the extensions before the identifier of the key.
+        after: the extensions after it.
+        digest: the hash algorithm of its signature.
     """
-    fields = der.elements(der.single(certificate.tbs_certificate_bytes, der.SEQUENCE))
-    identifier = extensions.value(certificate, x509.SubjectKeyIdentifier)
-    around = fields[-1].split(identifier.digest) if identifier else []
-    return (fields[0], fields[2], b"".join(fields[2:5]), *around) if len(around) == 2 else ()  # noqa: PLR2004 - once
+
+    version: bytes
+    algorithm: bytes
+    middle: bytes
+    before: bytes
+    after: bytes
+    digest: hashes.HashAlgorithm
+
+    @classmethod
+    def of(cls, certificate: x509.Certificate) -> CommonParts | None:
+        """Return the parts of a certificate; None if the place of the identifier is not certain.
+
+        They are derived from what was written. The identifier of the key must be its hash, as it is by default.
+        """
+        fields = der.elements(der.single(certificate.tbs_certificate_bytes, der.SEQUENCE))
+        identifier = extensions.value(certificate, x509.SubjectKeyIdentifier)
+        own, digest = key_identifier(fields[6]), certificate.signature_hash_algorithm
+        before, _, after = fields[-1].partition(own)
+        if identifier is None or identifier.digest != own or own in after or digest is None:
+            return None
+        return cls(fields[0], fields[2], b"".join(fields[2:5]), before, after, digest)
+
+    def is_same(self, other: CommonParts | None) -> bool:
+        """Tell whether these are the parts of another certificate, too."""
+        return other is not None and self[:-1] == other[:-1]
+
+    def fill(self, subject: x509.Name, public: bytes, signer: keys.PrivateKey) -> tuple[bytes, int]:
+        """Return a certificate in DER, as the library would write it, at a third of the cost; and its serial number.
+
+        Args:
+            subject: the subject.
+            public: the key to certify, in DER.
+            signer: the issuer's private key.
+        """
+        serial = x509.random_serial_number()
+        body = der.tlv(
+            der.SEQUENCE,
+            self.version,
+            der.tlv(der.INTEGER, serial.to_bytes(serial.bit_length() // 8 + 1, "big")),
+            self.middle,
+            subject.public_bytes(),
+            public,
+            self.before,
+            key_identifier(public),
+            self.after,
+        )
+        signature = keys.signature_over(body, signer, self.digest)
+        return der.tlv(der.SEQUENCE, body, self.algorithm, der.tlv(der.BIT_STRING, b"\0", signature)), serial
+
+    def are_in(self, content: bytes, subject: x509.Name, public: bytes, issuer: keys.PublicKey) -> bool:
+        """Return whether a certificate has these parts, a serial number, what is given, and nothing else.
+
+        Args:
+            content: the certificate in DER.
+            subject: the subject that it must have.
+            public: the key that it must certify, in DER.
+            issuer: the key that must have signed it.
+
+        Raises:
+            ValueError: it has another structure.
+        """
+        body, algorithm, signature = der.elements(der.single(content, der.SEQUENCE))
+        version, serial, *middle, name, key, more = der.elements(der.single(body, der.SEQUENCE))
+        own = self.version, self.algorithm, self.middle, subject.public_bytes(), public
+        number = int.from_bytes(der.single(serial, der.INTEGER), "big", signed=True)
+        value = der.single(signature, der.BIT_STRING)
+        return (
+            (version, algorithm, b"".join(middle), name, key) == own
+            and more == key_identifier(public).join((self.before, self.after))
+            and 0 < number < _MAX_SERIAL
+            and value[0] == 0
+            and keys.verifies(value[1:], body, issuer, self.digest)
+        )
 
 
-def fill(
-    parts: tuple[bytes, ...], digest: Hash, subject: x509.Name, public_key: keys.PublicKey, signer: keys.PrivateKey
-) -> bytes:
-    """Return a certificate in DER: the one that the library would write, at a third of the cost.
+def key_identifier(public: bytes) -> bytes:
+    """Return the identifier that a key has by default: the SHA-1 of its bits (RFC 5280, 4.2.1.2).
 
     Args:
-        parts: what :func:`common_parts` returns for another certificate of this issuer.
-        digest: the hash algorithm of the signature.
-        subject: the subject.
-        public_key: the key to certify.
-        signer: the issuer's private key.
+        public: the key in DER, SubjectPublicKeyInfo.
     """
-    version, algorithm, middle, before, after = parts
-    serial = x509.random_serial_number()
-    body = der.tlv(
-        der.SEQUENCE,
-        version,
-        der.tlv(der.INTEGER, serial.to_bytes(serial.bit_length() // 8 + 1, "big")),
-        middle,
-        subject.public_bytes(),
-        keys.public_der(public_key),
-        before,
-        x509.SubjectKeyIdentifier.from_public_key(public_key).digest,
-        after,
-    )
-    signature = keys.signature_over(body, signer, digest)
-    return der.tlv(der.SEQUENCE, body, algorithm, der.tlv(der.BIT_STRING, b"\0", signature))
+    _, bits = der.elements(der.single(public, der.SEQUENCE))
+    return hashlib.sha1(der.single(bits, der.BIT_STRING)[1:], usedforsecurity=False).digest()
 
 
 def validity_within(validity: Validity, issuer: x509.Certificate | None) -> Validity:

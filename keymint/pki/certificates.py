@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+import base64
 import functools
 import re
 from dataclasses import field
 from datetime import datetime
+from typing import cast
 
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
@@ -39,9 +41,6 @@ UNREADABLE = (
 """What the library raises on a damaged certificate or revocation list."""
 _CERTIFICATE, _LIST = b"CERTIFICATE", b"X509 CRL"
 _PEM = b"-----BEGIN CERTIFICATE-----\n%b-----END CERTIFICATE-----\n"
-_TEMPLATES: dict[tuple[object, ...], tuple[tuple[bytes, ...], certificate_forms.Hash]] = {}
-"""What certificates of identities have in common, and the hash algorithm of their signatures, by :func:`_kind`."""
-_MOST_TEMPLATES = 64
 _BLOCK = lazy_regex(rb"^-----BEGIN (%b|%b)-----\n[^-]*^-----END \1-----$" % (_CERTIFICATE, _LIST), re.MULTILINE)
 """A certificate, or a revocation list, which may follow the certificates of authorities in their file."""
 
@@ -182,6 +181,11 @@ def to_pem(certificate: x509.Certificate) -> bytes:
     return certificate.public_bytes(serialization.Encoding.PEM)
 
 
+def pem_of(content: bytes) -> bytes:
+    """Return a certificate in DER as PEM, as :func:`to_pem` writes it."""
+    return _PEM % der.base64_lines(content)
+
+
 def period(certificate: x509.Certificate) -> tuple[datetime, datetime]:
     """Return when a certificate is in force, UTC, both ends included."""
     return certificate.not_valid_before_utc, certificate.not_valid_after_utc
@@ -231,11 +235,6 @@ def issue(
         KeymintError: the specification cannot be issued; with its origin.
     """
     issuer, signing_key = (signer.certificate, signer.key) if isinstance(signer, Issuer) else (None, signer)
-    kind = _kind(spec, signer, authority=authority)
-    if template := _TEMPLATES.get(kind):
-        subject = distinguished_names.parse(spec.subject_name, spec.origin)
-        pem = _PEM % der.base64_lines(certificate_forms.fill(*template, subject, public_key, signing_key))
-        return Issued(load(pem), pem)
     form = certificate_forms.form(spec, public_key, issuer, authority=authority)
     certificate = form.signed(spec.serial, public_key, signing_key)
     try:
@@ -247,21 +246,27 @@ def issue(
             help="correct the value after DER:",
             code="extension-invalid",
         ) from None
-    parts = certificate_forms.common_parts(certificate) if kind and not form.diagnostics else ()
-    if parts:
-        if len(_TEMPLATES) >= _MOST_TEMPLATES:
-            _TEMPLATES.clear()
-        _TEMPLATES[kind] = parts, form.hash_algorithm
     return Issued(certificate, to_pem(certificate), form.diagnostics)
 
 
-def _kind(spec: CertificateSpec, signer: Issuer | keys.PrivateKey, *, authority: bool) -> tuple[object, ...]:
-    """Return what an identity's certificate depends on beside its subject, key and serial number; empty if on more."""
-    if authority or not isinstance(signer, Issuer) or not keys.is_in_memory(signer.key):
-        return ()
-    if spec.serial is not None or any(each.name == "subjectKeyIdentifier" for each in spec.extensions):
-        return ()
-    return signer.certificate, spec.validity, spec.hash_algorithm, spec.extensions
+def is_like(
+    pem: bytes, parts: certificate_forms.CommonParts, subject: x509.Name, public: bytes, issuer: x509.Certificate
+) -> bool:
+    """Return whether a file is a certificate that its issuer signed, and differs from another one as it must.
+
+    Args:
+        pem: the file.
+        parts: what it must share with the other one.
+        subject: its subject.
+        public: the key that it must certify, in DER.
+        issuer: the certificate of its issuer, which the other one was verified with.
+    """
+    signed_by = cast("keys.PublicKey", issuer.public_key())
+    try:
+        content = base64.b64decode(b"".join(pem.split(b"\n")[1:-2]))
+        return pem == pem_of(content) and parts.are_in(content, subject, public, signed_by)
+    except ValueError:
+        return False
 
 
 def certificate_satisfies(

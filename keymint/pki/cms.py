@@ -9,16 +9,15 @@ from __future__ import annotations
 
 import functools
 import hashlib
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 from cryptography import x509
-from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives import hashes, serialization
-from cryptography.hazmat.primitives.asymmetric import ec, padding, rsa
+from cryptography.hazmat.primitives.asymmetric import ec, rsa
 
 from comarmor.values import dataclass
 from keymint.pki import der
-from keymint.pki.keys import PrivateKey, is_in_memory, signature_over
+from keymint.pki.keys import PrivateKey, PublicKey, is_in_memory, signature_over, verifies
 
 _SIGNED_DATA = der.oid("1.2.840.113549.1.7.2")
 _DATA = der.oid("1.2.840.113549.1.7.1")
@@ -158,16 +157,52 @@ def verify(signature: Signature, text: bytes, certificate: x509.Certificate) -> 
     if not is_named or not _attributes_match(signature, text):
         return False
     key, digest = certificate.public_key(), _DIGESTS[signature.digest]
-    try:
-        if isinstance(key, ec.EllipticCurvePublicKey) and signature.algorithm in digest.with_ecdsa:
-            key.verify(signature.value, signature.attributes, ec.ECDSA(digest.algorithm))
-        elif isinstance(key, rsa.RSAPublicKey) and signature.algorithm in _RSA:
-            key.verify(signature.value, signature.attributes, padding.PKCS1v15(), digest.algorithm)
-        else:
-            return False
-    except InvalidSignature:
+    is_ec = isinstance(key, ec.EllipticCurvePublicKey) and signature.algorithm in digest.with_ecdsa
+    if not is_ec and not (isinstance(key, rsa.RSAPublicKey) and signature.algorithm in _RSA):
         return False
-    return True
+    return verifies(signature.value, signature.attributes, cast("PublicKey", key), digest.algorithm)
+
+
+_MOST_FORMS = 64
+_forms: dict[tuple[x509.Certificate, str, int], tuple[bytes, bytes, list[bytes]]] = {}
+"""The bytes of verified signatures before and after the digest of the text, and around that in the attributes.
+
+By certificate, digest algorithm and length. Only the value follows the bytes after the digest.
+"""
+
+
+def remember(content: bytes, signature: Signature, text: bytes, certificate: x509.Certificate) -> None:
+    """Remember the form of a verified signature, so that :func:`has_known_form` recognises it.
+
+    Args:
+        content: the signature in DER.
+        signature: its parts.
+        text: the text that it is over.
+        certificate: the certificate that it was verified with.
+    """
+    hashed = hashlib.new(signature.digest, text).digest()
+    before, _, after = content.removesuffix(signature.value).partition(hashed)
+    if content.endswith(signature.value) and hashed not in after and len(_forms) < _MOST_FORMS:
+        form = before, after, signature.attributes.split(hashed)
+        _forms[certificate, signature.digest, len(content)] = form
+
+
+def has_known_form(content: bytes, digest: str, text: bytes, certificate: x509.Certificate) -> bool:
+    """Return whether a signature is right and has every byte of one that was verified, but for digest and value.
+
+    Args:
+        content: the signature in DER.
+        digest: its digest algorithm.
+        text: the text that it is over.
+        certificate: the certificate that it must have been made with.
+    """
+    before, after, attributes = _forms.get((certificate, digest, len(content)), (b"", b"", [b""]))
+    hashed = hashlib.new(digest, text).digest()
+    end = len(before) + len(hashed) + len(after)
+    if not before or content[:end] != hashed.join((before, after)):
+        return False
+    key = cast("PublicKey", certificate.public_key())
+    return verifies(content[end:], hashed.join(attributes), key, _DIGESTS[digest].algorithm)
 
 
 @functools.lru_cache(maxsize=16)

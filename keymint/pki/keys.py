@@ -20,7 +20,7 @@ from types import MappingProxyType
 from typing import cast
 
 from cryptography import x509
-from cryptography.exceptions import UnsupportedAlgorithm
+from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec, padding, rsa
 
@@ -111,6 +111,18 @@ def signature_over(data: bytes, key: PrivateKey, digest: hashes.HashAlgorithm) -
     if isinstance(key, ec.EllipticCurvePrivateKey):
         return key.sign(data, ec.ECDSA(digest))
     return key.sign(data, padding.PKCS1v15(), digest)
+
+
+def verifies(signature: bytes, data: bytes, key: PublicKey, digest: hashes.HashAlgorithm) -> bool:
+    """Return whether a signature over some data was made by the key of :func:`signature_over` with this public half."""
+    try:
+        if isinstance(key, ec.EllipticCurvePublicKey):
+            key.verify(signature, data, ec.ECDSA(digest))
+        else:
+            key.verify(signature, data, padding.PKCS1v15(), digest)
+    except InvalidSignature:
+        return False
+    return True
 
 
 def kind_of(key: PrivateKey | PublicKey) -> KeySpec:
@@ -216,6 +228,11 @@ def matches(key: PrivateKey | PublicKey, certificate: x509.Certificate) -> bool:
 def fingerprint(key: PrivateKey | PublicKey) -> str:
     """Return the SHA-256, in hex, of the public key of a pair (SubjectPublicKeyInfo in DER; RFC 5280, 4.1.2.7)."""
     return hashlib.sha256(public_der(key if isinstance(key, PublicKey) else key.public_key())).hexdigest()
+
+
+def public_der_of_file(pem: bytes) -> bytes:
+    """Return the public half of the key in the PEM file of an unencrypted private key, as :func:`public_der`."""
+    return _known(pem)[0]
 
 
 def fingerprint_of_file(pem: bytes) -> str:

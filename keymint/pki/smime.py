@@ -207,8 +207,12 @@ def read(signed: bytes, ca_pem: bytes, *, at: datetime | None = None, where: Ori
 def _read(signed: bytes, ca_pem: bytes, at: datetime | None) -> SignedDocument:
     """Verify a signed document; places of errors have a line only."""
     document = unwrap(signed, _NAMELESS)
-    signature = _parsed(document, _NAMELESS)
     authority = certificates.load_first(ca_pem, with_lists=True)
+    text = canonical_text(document.content)
+    if cms.has_known_form(document.signature, document.digest, text, authority):
+        examine.require_signer(authority, at)
+        return document
+    signature = _parsed(document, _NAMELESS)
     if signature.certificate != cms.identity_of(authority)[0]:
         raise KeymintError(
             "signed by another certificate than the authority's",
@@ -216,12 +220,13 @@ def _read(signed: bytes, ca_pem: bytes, at: datetime | None) -> SignedDocument:
             code="smime-signer",
         )
     examine.require_signer(authority, at)
-    if not cms.verify(signature, canonical_text(document.content), authority):
+    if not cms.verify(signature, text, authority):
         raise KeymintError(
             "the signature is invalid: the document or its signature was altered",
             help="'keymint install' signs it again",
             code="smime-altered",
         )
+    cms.remember(document.signature, signature, text, authority)
     return document
 
 

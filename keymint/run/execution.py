@@ -393,7 +393,7 @@ def require_register(plan: Plan, inputs: Inputs) -> None:
         KeymintError: it is another one, so that serial numbers or revocations would be lost.
     """
     path = inputs.workspace.register
-    is_replaced = any(change.folder == path.parent and path.name in change.files for change in plan.first)
+    is_replaced = any(str(change.folder) == str(path.parent) and path.name in change.files for change in plan.first)
     if is_replaced and Tree().digest(path) != inputs.tree.digest(path):
         raise KeymintError(
             "was changed by another run meanwhile, so nothing was written",

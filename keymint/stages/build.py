@@ -71,19 +71,23 @@ class BuildStage(PackageStage):
             return PackagePlan(name, errors=self._in_policy(error.diagnostics, subject))
         return replace(plan, diagnostics=self._in_policy(plan.diagnostics, subject))
 
-    def new(self, new: NewPackage) -> PackagePlan:
+    def new(self, new: NewPackage) -> PackagePlan | None:
         """See :meth:`keymint.stages.work.PackageStage.new`."""
         session, name, workspace = self._session, new.name, self._session.workspace
         contents = {file: each.content for file, each in new.sources.items()}
-        folder, install = workspace.shown(f"{workspace.src}/{name}"), str(workspace.install)
-        build_type = session.plugins.build_type
-        package = session.package_type.load(session.profile, name, folder, contents, build_type, install)
+        if new.forms.package is None:
+            new.forms.package = session.package(name), contents
+        folder = workspace.shown(f"{workspace.src}/{name}")
+        package = session.package_type.load_like(session.profile, *new.forms.package, name, folder, contents)
+        if package is None:
+            return None
         new.package = package
         digests = {file: each.digest for file, each in new.sources.items()}
         new.inputs = package_build_types.inputs_digest(session, name, package.build_types, digests)
         options = options_of(self._options_of(name), package.subject)
         built = _built(session, package, options)
         new.documents = {file: same_file(self._files, file, content) for file, content in built.documents.items()}
+        new.kind = built.alike
         new.key, fingerprint = identities.mint(session, package)
         change = FolderChange(f"{workspace.build}/{name}", new.documents)
         sizes = _sizes(built, dict(sorted(built.plain_sizes.items())))
@@ -292,6 +296,7 @@ def _built(session: Session, package: Package, options: BuildOptions) -> BuildRe
     documents: dict[str, bytes] = {}
     builders: dict[str, str] = {}
     sizes: dict[str, int] = {}
+    alike: list[object] = []
     diagnostics: list[Diagnostic] = []
     defects = Defects()
     for name, build_type in package_build_types.build_types_of(session, package).items():
@@ -301,5 +306,6 @@ def _built(session: Session, package: Package, options: BuildOptions) -> BuildRe
             documents |= built.documents
             sizes |= built.plain_sizes
             diagnostics += built.diagnostics
+            alike.append(built.alike)
     defects.require_none()
-    return BuildResult(documents, tuple(dict.fromkeys(diagnostics)), sizes)
+    return BuildResult(documents, tuple(dict.fromkeys(diagnostics)), sizes, None if None in alike else tuple(alike))

@@ -277,11 +277,13 @@ class CreateStage(PackageStage):
     def follows(self, name: str) -> bool:
         """Tell whether a package was created from the rules that its subject has now, and from the profile."""
         stamp = self._session.state.stamp(STAGE, name)
-        return stamp is not None and (self._is_followed or stamp.inputs == self._inputs(name))
+        return stamp is not None and (self._is_followed or stamp.inputs == self._inputs(self._written(name)))
 
-    def _inputs(self, name: str) -> str:
+    def _written(self, name: str) -> str:
+        return self._policy.rules_digest(subject_of(name)) or ""
+
+    def _inputs(self, rules: str) -> str:
         """Return the digest of everything that the sources of a package are made of; of the policy, if it can tell."""
-        rules = self._policy.rules_digest(subject_of(name))
         return digest(rules, self._session.profile_digest) if rules else self._epoch
 
     def package(self, name: str) -> PackagePlan:
@@ -316,7 +318,7 @@ class CreateStage(PackageStage):
         # Documents of former versions that are replaced.
         former = self._package_type.former_rules(rules, files) if changes and files else ()
         found = (*(unnamed if known else ()), *(with_place(each, session.workspace.src) for each in former))
-        return PackagePlan(name, step, Stamp(self._inputs(name), outputs), found, errors)
+        return PackagePlan(name, step, Stamp(self._inputs(self._written(name)), outputs), found, errors)
 
     def new(self, new: NewPackage) -> PackagePlan:
         """See :meth:`keymint.stages.work.PackageStage.new`."""
@@ -326,7 +328,7 @@ class CreateStage(PackageStage):
         new.sources = {file: same_file(self._files, file, content) for file, content in ordered}
         step = Step(STAGE, name, Action.CREATED, (FolderChange(f"{session.workspace.src}/{name}", new.sources),))
         digests = {file: each.digest for file, each in new.sources.items()}
-        return PackagePlan(name, step, Stamp(self._inputs(name), _outputs(digests)))
+        return PackagePlan(name, step, Stamp(self._inputs(new.written), _outputs(digests)))
 
     def _with_validity(self, rules: SubjectRules, files: Mapping[str, bytes]) -> Mapping[str, bytes]:
         """Return the files of a package that change so that it has the requested validity."""

@@ -21,7 +21,7 @@ from keymint.life.examine import Keyring, orphan_findings, replaced_rights, shar
 from keymint.life.register import SignedRights
 from keymint.life.workspace_register import register_of
 from keymint.names import subject_of
-from keymint.pki import certificates, keys, revocation_lists
+from keymint.pki import certificates, revocation_lists
 from keymint.pki.distinguished_names import to_text
 from keymint.stages import identities
 from keymint.stages.documents import (
@@ -37,7 +37,7 @@ from keymint.stages.documents import (
 )
 from keymint.stages.environment_scripts import plan_scripts
 from keymint.stages.work import NewPackage, PackagePlan, PackageStage, state_after, steps_of
-from keymint.store.changes import Action, File, FolderChange, Plan, Step, by_folder, same_file
+from keymint.store.changes import Action, File, FolderChange, Plan, Step, by_folder
 from keymint.view.stamps import Stamp, digest, digest_files
 from keymint.workspace import installed_enclaves
 from keymint.workspace.installed_enclaves import (
@@ -64,6 +64,7 @@ from keymint.workspace.session import Inputs, Session
 from keymint.workspace.stored_keys import IDENTITY_KEYS, known_fingerprint, without_recorded_keys
 
 STAGE = INSTALLED
+_common_form = lazy("keymint.stages.enclave_forms:common_form")  # a small workspace has one of each kind
 _changed_rights = lazy("keymint.stages.changed_rights:changed_rights")  # a new fleet has nothing to compare
 _STALE = "is stale; signing the existing build"
 
@@ -92,7 +93,6 @@ class InstallStage(PackageStage):
         self._prune = prune
         self._settled = settled
         self._keyring = Keyring(session)
-        self._files: dict[str, File] = {}
 
     def package(self, name: str) -> PackagePlan:
         """Return the plan for the enclave of a package."""
@@ -103,30 +103,42 @@ class InstallStage(PackageStage):
 
     def new(self, new: NewPackage) -> PackagePlan:
         """See :meth:`keymint.stages.work.PackageStage.new`."""
-        session, name, package = self._session, new.name, new.package
-        (key,) = new.key.files.values()
+        if found := new.forms.of(STAGE, new.kind):
+            new.form, like = found
+            return self._filled(new, like)
+        plan = self.package(new.name)
+        if plan.issued and plan.step and not plan.diagnostics:
+            (change,) = plan.step.changes
+            new.files = change.files
+            new.forms.learn(STAGE, new.kind, (new, plan), self._form)
+        return plan
+
+    def _form(
+        self, one: tuple[NewPackage, PackagePlan], other: tuple[NewPackage, PackagePlan]
+    ) -> tuple[Any, PackagePlan] | None:
+        """Return the form of two new enclaves, and the plan for one; None if the plans differ otherwise."""
+        (_, plan), (_, like) = one, other
+        first, second = ((each.build_types, each.artifacts, each.lifetimes) for each in (plan, like))
+        form = _common_form(one, other, self._authorities) if first == second else None
+        return (form, plan) if form else None
+
+    def _filled(self, new: NewPackage, like: PackagePlan) -> PackagePlan:
+        """Return the plan for an enclave that is filled in from a form, as that for another one."""
+        session, name, (key,) = self._session, new.name, new.key.files.values()
+        new.files, issued, signed = new.form.fill(new, self._authorities, session.now)
         digests = {file: each.digest for file, each in new.documents.items()}
         inputs = _inputs(session, new.inputs, key.digest, digests)
-        documents = {file: each.content for file, each in new.documents.items()}
-        pair = key.content, keys.public_of(key.content)
-        artifacts, issued, warnings = identities.sign(session, package, documents, self._authorities, pair, {})
-        new.files = {
-            file: same_file(self._files, file, each.content, secret=each.secret) for file, each in artifacts.items()
-        }
-        ordered = dict(sorted(new.files.items(), key=lambda item: item[0] == CERTIFICATE))
-        build_types = build_types_of(session, package)
-        copied = {file for each in build_types.values() for file in each.COPIED}
+        change = FolderChange(session.enclave_folder(name), new.files, private=True)
         return PackagePlan(
             name,
-            Step(STAGE, name, Action.CREATED, (FolderChange(session.enclave_folder(name), ordered, private=True),)),
+            Step(STAGE, name, Action.CREATED, (change,)),
             _stamp(inputs, new.files, lifetimes=new.built.stamp.lifetimes if new.built.stamp else ""),
-            tuple(warnings),
             fingerprint=new.built.fingerprint,
             lifetimes=new.built.lifetimes,
-            build_types=tuple(build_types),
-            artifacts={file: artifacts[file] for file in copied if file in artifacts},
+            build_types=like.build_types,
+            artifacts=like.artifacts,
             issued=issued,
-            signed=_signed(session, package, {file: each.content for file, each in new.files.items()}),
+            signed=signed,
         )
 
     def plan(self, planned: Sequence[PackagePlan]) -> Plan:

@@ -100,6 +100,40 @@ class PackagePlan:
     withdrawn: str = ""
 
 
+class Forms:
+    """What the results of a stage for the packages of a kind have in common: further ones are filled in from it.
+
+    Attributes:
+        package: the first new package, and its sources.
+    """
+
+    def __init__(self) -> None:
+        self.package: tuple[Package, Mapping[str, bytes]] | None = None
+        self._first: dict[tuple[str, object], Any] = {}
+        self._known: dict[tuple[str, object], Any] = {}
+
+    def of(self, stage: str, kind: object) -> Any:
+        """Return the form of a kind; None if there is none yet, or none at all."""
+        return self._known.get((stage, kind))
+
+    def learn(self, stage: str, kind: object, result: Any, common: Callable[[Any, Any], Any]) -> None:
+        """Make the form of a kind as soon as there are results for two of its members.
+
+        Args:
+            stage: the stage.
+            kind: the kind; None for a package that is of none.
+            result: what the stage made of a member in full.
+            common: returns what two results have in common; None if others cannot be filled in from it.
+        """
+        key = stage, kind
+        if kind is None or key in self._known:
+            return
+        if key in self._first:
+            self._known[key] = common(self._first.pop(key), result)
+        else:
+            self._first[key] = result
+
+
 @dataclass(slots=True)
 class NewPackage:
     """A package of which nothing is there, on its way through the stages; each sets what the next ones need.
@@ -107,24 +141,32 @@ class NewPackage:
     Attributes:
         name: the package.
         rules: its rules, as the policy has them.
+        forms: the forms of the kinds of packages.
+        written: the digest of its rules and their files (:meth:`keymint.api.LoadedPolicy.rules_digest`).
         sources: the files of its folder, once it is created.
         package: what they say, once it is built; so are the following.
+        kind: what it shares with all packages whose results may be filled in from a form; None if it is of no kind.
         inputs: the digest of all that its documents are made from.
         documents: its unsigned documents.
         key: the change that stores its private key.
         built: the plan of the build.
         files: the files of its enclave, once it is installed.
+        form: the form that these were filled in from (:mod:`keymint.stages.enclave_forms`); None if made in full.
     """
 
     name: str
     rules: SubjectRules
+    forms: Forms
+    written: str
     sources: Mapping[str, File] = field(init=False)
     package: Package = field(init=False)
+    kind: object = field(init=False)
     inputs: str = field(init=False)
     documents: Mapping[str, File] = field(init=False)
     key: FolderChange = field(init=False)
     built: PackagePlan = field(init=False)
     files: Mapping[str, File] = field(init=False)
+    form: Any = field(init=False, default=None)
 
 
 class PackageStage:
@@ -133,7 +175,7 @@ class PackageStage:
     NAME: str
 
     def new(self, new: NewPackage) -> Any:
-        """Return the result for a package of which nothing is there, as :meth:`package` does.
+        """Return the result for a package of which nothing is there, as :meth:`package` does; None leaves that to it.
 
         Raises:
             KeymintError: the package has defects.
@@ -169,6 +211,7 @@ class NewPackages:
         spaces = map(str, (workspace.src, workspace.build, workspace.identities, *installed))
         self._spaces = tuple(dict.fromkeys(each for each in spaces if session.tree.status(each)))
         self._on_the_way: dict[str, NewPackage] = {}
+        self._forms = Forms()
 
     @classmethod
     def of(cls, session: Session, policy: LoadedPolicy, first: str) -> NewPackages | None:
@@ -189,7 +232,8 @@ class NewPackages:
             found = None
         if new is None or found is None or found.diagnostics or not found.stamp:
             return stage.package(name)
-        self._on_the_way[name] = new
+        if isinstance(found, PackagePlan):  # not the proof, after which nothing more is needed
+            self._on_the_way[name] = new
         return found
 
     def _starting(self, name: str) -> NewPackage | None:
@@ -199,8 +243,9 @@ class NewPackages:
             return None
         if any(session.tree.status(f"{space}/{name}") for space in self._spaces) or register_of(session).of(name):
             return None
-        rules = self._policy.rules(subject_of(name))
-        return NewPackage(name, rules) if rules else None
+        subject = subject_of(name)
+        rules, written = self._policy.rules(subject), self._policy.rules_digest(subject)
+        return NewPackage(name, rules, self._forms, written or "") if rules else None
 
 
 def planned_by(stage: PackageStage, names: Iterable[str], new: NewPackages | None) -> list[Any]:

@@ -94,8 +94,8 @@ def same_file(known: dict[str, File], name: str, content: bytes, *, secret: bool
 
 def secret_file(path: Path | str, content: bytes) -> FolderChange:
     """Return the change that writes one secret file."""
-    path = Path(path)
-    return FolderChange(path.parent, {path.name: File(content, secret=True)}, private=True)
+    folder, _, name = str(path).rpartition("/")
+    return FolderChange(folder, {name: File(content, secret=True)}, private=True)
 
 
 def by_folder(root: Path, files: Mapping[str, File]) -> dict[Path, dict[str, File]]:

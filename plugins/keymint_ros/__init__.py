@@ -49,6 +49,7 @@ class RosPackageType(PackageType):
     create_infrastructure = lazy("keymint_ros.package_writer:create_infrastructure")
     role = lazy("keymint_ros.manifest:role")
     load = lazy("keymint_ros.package_reader:load")
+    load_like = lazy("keymint_ros.package_reader:load_like")
     former_rules = lazy("keymint_ros.package_writer:former_rules")
     rule_places = lazy("keymint_ros.package_reader:rule_places")
     with_validity = lazy("keymint_ros.package_writer:with_validity")

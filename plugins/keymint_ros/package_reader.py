@@ -49,6 +49,8 @@ _read_identity = Reader("keymint_ros", "identities", _identity)
 _DEFAULTS = {
     part: Reader("keymint_ros", f"defaults_{part}", _element_of_subject) for part in ("identities", "permissions")
 }
+_IDENTITIES, _PERMISSIONS = (f"{part}.xml" for part in _DEFAULTS)
+"""The documents of a new package."""
 
 
 @lru_cache(maxsize=64)
@@ -254,6 +256,51 @@ def load(
         issuance=issued,
         kept={path.removeprefix(ADOPTED): each for path, each in files.items() if path.startswith(ADOPTED)},
     )
+
+
+def load_like(
+    profile: WorkspaceProfile,
+    like: Package,
+    sources: Mapping[str, bytes],
+    name: str,
+    folder: str,
+    files: Mapping[str, bytes],
+) -> Package | None:
+    """Load a package from another one: see :meth:`keymint.api.PackageType.load_like`."""
+    identity, grant = like.identity, like.grant
+    others = [file for file, content in files.items() if sources.get(file) != content]
+    defaults = tuple(profile.files.get(f"package.defaults/{part}.xml", b"") for part in _DEFAULTS)
+    patterns = _patterns(defaults, like.subject, (identity.subject_name, grant.subject_name))
+    if others != [_PERMISSIONS] or len(files) != len(sources) or not patterns:
+        return None
+    if grant.edited or like.issuance != Issuance() or like.role is not Role.SUBJECT or like.kept:
+        return None
+    rules = permissions.rendered_rules(files[_PERMISSIONS], base_of(profile))
+    if rules is None:
+        return None
+    values = certificate.placeholder_values(rules.subject)
+    own_identity, own_grant = (certificate.expanded_name(each, values) for each in patterns)
+    places = (
+        Origin(f"{folder}/{_IDENTITIES}", identity.origin.line),
+        Origin(f"{folder}/{_PERMISSIONS}", grant.origin.line),
+    )
+    return replace(
+        like,
+        name=name,
+        subject=rules.subject,
+        identity=replace(identity, subject_name=own_identity, origin=places[0]),
+        grant=replace(grant, name=rules.subject, subject_name=own_grant, rules=rules, origin=places[1]),
+    )
+
+
+@lru_cache(maxsize=16)
+def _patterns(defaults: tuple[bytes, ...], subject: str, names: tuple[str, str]) -> tuple[str, ...]:
+    """Return the names with placeholders that defaults give to identity and grant; none if a subject has others."""
+    if not all(defaults):
+        return ()
+    read = (_read_defaults(*each, "").subject_name or "" for each in zip(_DEFAULTS, defaults, strict=True))
+    patterns, values = tuple(read), certificate.placeholder_values(subject)
+    return patterns if tuple(certificate.expanded_name(each, values) for each in patterns) == names else ()
 
 
 def _renewed(issued: _Issued | None, issuance_: Issuance) -> _Issued | None:

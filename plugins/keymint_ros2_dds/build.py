@@ -15,6 +15,7 @@ from keymint_ros2_dds.domains import in_words, uncovered_domains
 from keymint_ros2_dds.emit.kind_members import emit_by_kind
 from keymint_ros2_dds.enclave_layout import GOVERNANCE, GOVERNANCE_XML, PERMISSIONS, PERMISSIONS_XML
 from keymint_ros2_dds.keystores import foreign_documents
+from keymint_ros2_dds.proving import enclave_governance
 from keymint_ros2_dds.settings import settings_of, validity_of
 
 
@@ -46,7 +47,10 @@ def build(package: Package, options: BuildOptions) -> BuildResult:
     notes += vendor_limits.check_size(size, PERMISSIONS, package, emitted.lowered)
     notes += vendor_limits.check_size(vendor_limits.signed_size(governance), GOVERNANCE, package)
     documents = {PERMISSIONS_XML: emitted.document, GOVERNANCE_XML: governance}
-    return BuildResult(documents, tuple(notes), {PERMISSIONS_XML: emitted.plain_size})
+    # Claims hold for all if the governance leaves it to the permissions alone, and is no other than what was proven.
+    is_alike = emitted.alike and not package.kept and enclave_governance.transparent(governance, package.grant.domains)
+    alike = emitted.alike if is_alike else None
+    return BuildResult(documents, tuple(notes), {PERMISSIONS_XML: emitted.plain_size}, alike)
 
 
 def _check(package: Package) -> Iterator[Diagnostic]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -272,6 +273,23 @@ def dump_proof(
     return {_CLAIMS: dump_claims(tuple(claims)), RULES: placeless_digest(rules), _TERMS: f"[{','.join(rows)}]"}
 
 
+def outputs_like(
+    outputs: Mapping[str, str], rules: SubjectRules, values: Sequence[str], own: Sequence[str]
+) -> Mapping[str, str]:
+    """Return the outputs of a stamp with the same claims, whose documents are in force at the same times.
+
+    Args:
+        outputs: the outputs of the other one.
+        rules: the rules of the policy that the claims are about.
+        values: values of the other package, which the texts of these outputs have.
+        own: those in their place.
+    """
+    names = dict(zip(values, own, strict=False))
+    found = re.compile("|".join(map(re.escape, sorted(names, key=len, reverse=True))))
+    terms = found.sub(lambda value: names[value[0]], outputs[_TERMS])
+    return {_CLAIMS: outputs[_CLAIMS], RULES: placeless_digest((rules,)), _TERMS: terms}
+
+
 # The authorities of all enclaves are the same.
 @lru_cache(maxsize=64)
 def _row(
@@ -322,9 +340,18 @@ def placeless_digest(rules: Iterable[SubjectRules]) -> str:
     return digest(*(part for kind, names in kinds for part in (_kind_digest(kind), *names)))
 
 
-@lru_cache(maxsize=1 << 12)
+_kinds: dict[int, tuple[Kind, str]] = {}
+"""Kinds with their digests by identity: to hash a kind costs as much as all else."""
+_MOST_KINDS = 1 << 12
+
+
 def _kind_digest(kind: Kind) -> str:
-    return digest(repr(kind))
+    known = _kinds.get(id(kind))
+    if known is None:
+        if len(_kinds) >= _MOST_KINDS:
+            _kinds.clear()
+        known = _kinds[id(kind)] = kind, digest(repr(kind))
+    return known[1]
 
 
 @lru_cache(maxsize=64)

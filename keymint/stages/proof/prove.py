@@ -12,8 +12,9 @@ from dataclasses import replace
 from itertools import chain
 
 from comarmor.errors import Defects, Diagnostic, Severity
+from comarmor.regex import lazy_regex
 from keymint import __version__, api
-from keymint.authority.authority_files import chains_digest
+from keymint.authority.authority_files import chains_digest, trusted_chains
 from keymint.authority.examine import contradictions_for
 from keymint.errors import KeymintError
 from keymint.host.pool import Pool
@@ -21,6 +22,7 @@ from keymint.ir import SubjectRules
 from keymint.life import terms
 from keymint.life.workspace_register import withdrawn
 from keymint.names import name_of, subject_of
+from keymint.pki import distinguished_names
 from keymint.stages.documents import documents_digest, enclaves_of, installed_documents
 from keymint.stages.proof import proof_results
 from keymint.stages.proof.proof_results import EnclaveProof, ProofEffort, ProofResults
@@ -33,6 +35,7 @@ from keymint.workspace.package_build_types import SHARED
 from keymint.workspace.session import Session
 
 STAGE = "prove"
+_PLAIN = lazy_regex(r"[A-Za-z0-9/_.-]+")
 LEAST = 50
 """Enclaves for which a process of its own is worth its start."""
 NO_PROVER = "proof-unsupported"
@@ -171,12 +174,42 @@ class ProofStage(PackageStage):
 
     def new(self, new: NewPackage) -> EnclaveProof:
         """See :meth:`keymint.stages.work.PackageStage.new`; the files are those of the enclave that is planned."""
+        session, build_types = self._session, new.package.build_types
         digests = {file: each.digest for file, each in new.files.items()}
-        build_types, folder = new.package.build_types, self._folder(new.name)
-        contents = {file: each.content for file, each in new.files.items()}
-        proof = self._proof(new.package, new.rules, contents, folder)
-        inputs = self._digest(new.inputs, digests, build_types, self._session.vendors_of)
-        return self._kept(proof, (new.rules,), inputs, build_types, folder)
+        inputs = self._digest(new.inputs, digests, build_types, session.vendors_of)
+        form, own = new.forms.of(STAGE, new.kind), _values(new)
+        is_of_policy = new.package.grant.rules.kind == new.rules.kind and new.package.subject == new.rules.subject
+        if form and new.form and is_of_policy and _differing(form[1], own) == form[2]:
+            first, values, _ = form
+            if new.form.holds(new, trusted_chains(session)):
+                outputs = proof_results.outputs_like(first.stamp.outputs, new.rules, values, own)
+                stamp = self._stamp(inputs, outputs, new.written and digest(new.written), build_types)
+                return EnclaveProof(new.name, new.package.subject, first.claims, build_types=build_types, stamp=stamp)
+        proof = self.package(new.name)
+        if new.form is None and proof.stamp:
+            new.forms.learn(STAGE, new.kind, (proof, own, new.rules), self._form)
+        return proof
+
+    def _form(
+        self,
+        one: tuple[EnclaveProof, tuple[str, ...], SubjectRules],
+        other: tuple[EnclaveProof, tuple[str, ...], SubjectRules],
+    ) -> tuple[EnclaveProof, tuple[str, ...], tuple[bool, ...]] | None:
+        """Return a proof whose record tells that of all enclaves of a kind, with its values and which of them differ.
+
+        None if it does not.
+
+        Args:
+            one: the proof of an enclave, the values of its package, and the rules.
+            other: those of another one.
+        """
+        (first, values, _), (second, others, rules) = one, other
+        if not first.stamp or not second.stamp or first.claims != second.claims:
+            return None
+        outputs = proof_results.outputs_like(first.stamp.outputs, rules, values, others)
+        is_in_force = not any(terms.findings((*first.terms, *second.terms), self._session.now))
+        is_same = outputs.items() <= second.stamp.outputs.items()
+        return (first, values, _differing(values, others)) if is_same and is_in_force else None
 
     def _across(self, name: str, names: Sequence[str]) -> EnclaveProof:
         """Prove the claims across the subjects of some packages of a build type, unless these are on record."""
@@ -232,10 +265,13 @@ class ProofStage(PackageStage):
         if proof.diagnostics or any(claim.proof is not api.Proof.PROVEN for claim in proof.claims):
             return replace(proof, build_types=build_types, refuted=True)
         outputs = proof_results.dump_proof(proof.claims, proof.terms, rules, folder)
-        if written := self._written(each.subject for each in rules):
-            outputs = {**outputs, proof_results.WRITTEN: written}
-        stamp = Stamp(inputs, outputs, context=self._policy_digest, build_types=build_types)
+        stamp = self._stamp(inputs, outputs, self._written(each.subject for each in rules), build_types)
         return replace(proof, build_types=build_types, stamp=stamp)
+
+    def _stamp(self, inputs: str, outputs: Mapping[str, str], written: str, build_types: tuple[str, ...]) -> Stamp:
+        """Return the record of a proof; ``written`` is what :meth:`_written` returns for its subjects."""
+        outputs = {**outputs, proof_results.WRITTEN: written} if written else outputs
+        return Stamp(inputs, outputs, context=self._policy_digest, build_types=build_types)
 
     def _same_rules(self, stamp: Stamp, subjects: Iterable[str]) -> bool:
         """Tell whether the policy has the same rules for some subjects as when the stamp was made."""
@@ -322,6 +358,16 @@ class ProofStage(PackageStage):
         """Return the policy's rules for a subject; none for infrastructure, even if a profile is for every subject."""
         of_subject = self._session.role(name_of(subject)) is api.Role.SUBJECT
         return (self._policy.rules(subject) if of_subject else None) or SubjectRules(subject, ())
+
+
+def _values(new: NewPackage) -> tuple[str, ...]:
+    """Return the values in the subject name of a package that texts have as they are, in their order."""
+    name = distinguished_names.parse(new.package.identity.subject_name)
+    return tuple(value for _, value in distinguished_names.attributes(name) if _PLAIN.fullmatch(value))
+
+
+def _differing(values: Sequence[str], others: Sequence[str]) -> tuple[bool, ...]:
+    return tuple(value != other for value, other in zip(values, others, strict=False))
 
 
 def _with_rules(claims: Iterable[api.Claim], rules: Iterable[SubjectRules]) -> tuple[api.Claim, ...]:

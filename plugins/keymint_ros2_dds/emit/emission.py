@@ -37,6 +37,7 @@ class Emitted:
         compiled: the forms of the rules; None if another subject's were renamed (:mod:`keymint_ros2_dds.emit`).
         claims: what is proven about it, or not.
         diagnostics: warnings and notes.
+        alike: what it has in common with the other documents that were renamed from the same one; else None.
     """
 
     document: bytes
@@ -45,6 +46,7 @@ class Emitted:
     compiled: Compiled | None
     claims: tuple[Claim, ...]
     diagnostics: tuple[Diagnostic, ...]
+    alike: object | None = None
 
     def is_usual(self, grant: Grant) -> bool:
         """Tell whether the document is proven, and nothing is reported but notes on what vendors do."""

@@ -226,6 +226,7 @@ class _Made:
         sizes: bytes of its document, and of that in plain form.
         claims: what is proven about its document, and about every renamed one.
         notes: there are notes on its document.
+        alike: what all that is renamed from it has in common.
     """
 
     arguments: Arguments
@@ -234,6 +235,7 @@ class _Made:
     sizes: tuple[int, int]
     claims: tuple[Claim, ...]
     notes: bool
+    alike: object = field(default_factory=object, init=False, compare=False)
 
     def more_often_plain(self, texts: Iterable[str]) -> Mapping[str, int]:
         """Return how much more often the plain form has each of some topics, without those that it has as often."""
@@ -348,7 +350,7 @@ def _by_renaming(package: Package, arguments: Arguments, members: _Members) -> E
     # Some are perhaps not indented; a third of the limit all are, as no line grows to three times its length by that.
     if max(len(document), plain_size, *made.sizes) > dds_xml.INDENTED // 3:
         plain_size = len(permissions_document.render(grant, with_renamed_topics(made.plain, names)))
-    return Emitted(document, rules, plain_size, None, made.claims, notes)
+    return Emitted(document, rules, plain_size, None, made.claims, notes, made.alike)
 
 
 def _is_plain(grant: Grant) -> bool:

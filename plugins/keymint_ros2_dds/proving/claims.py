@@ -220,8 +220,8 @@ class _Model:
 MOST = 10_000
 """Number of documents whose claims are cached."""
 
-_Key = tuple[object, ...]
-_proven: dict[_Key, tuple[Claim, ...]] = {}
+_proven: dict[bytes, tuple[tuple[object, ...], tuple[Claim, ...]]] = {}
+"""What claims depend on besides a document and its governance, and the claims, by the digest of both."""
 
 
 def prove_content(
@@ -248,9 +248,10 @@ def prove_content(
         claims = prove_content(task, models=models, lowered=lowered)
         if all(claim.proof is Proof.PROVEN for claim in claims):
             return claims
-    key = _key(task, names, b"" if governance is None else governance.key)
-    if (known := _proven.get(key)) is not None:
-        return known
+    key, others = _key(task, names, b"" if governance is None else governance.key)
+    known = _proven.get(key)
+    if known and known[0] == others:
+        return known[1]
     document = signed_permissions.read(task.document, task.file, task.offset)
     if not document.defects:
         dds_xml.know_valid(task.document, PERMISSIONS)
@@ -258,7 +259,7 @@ def prove_content(
     claims = prove_document(question, models=names)
     # Proofs do not depend on the place of the document; counterexamples name it.
     if all(claim.proof is Proof.PROVEN for claim in claims) and len(_proven) < MOST:
-        _proven[key] = claims
+        _proven[key] = others, claims
     return claims
 
 
@@ -270,10 +271,12 @@ def remember(task: ComparisonTask, claims: tuple[Claim, ...]) -> None:
         claims: what is proven.
     """
     if len(_proven) < MOST:
-        _proven[_key(task, shipped_models(task.distro), b"")] = claims
+        key, others = _key(task, shipped_models(task.distro), b"")
+        _proven[key] = others, claims
 
 
-def _key(task: ComparisonTask, models: tuple[str, ...], governance: bytes) -> _Key:
-    """Return everything that proven claims depend on."""
+def _key(task: ComparisonTask, models: tuple[str, ...], governance: bytes) -> tuple[bytes, tuple[object, ...]]:
+    """Return the digest of a document and a governance, and all else that proven claims depend on."""
     digest, rules = hashlib.sha256(task.document).digest(), task.rules
-    return digest, governance, *rules.kind, task.subject_name, rules.subject, task.distro, task.domains, models
+    # To hash the rules costs more than to compare them with the same ones.
+    return digest + governance, (rules.kind, task.subject_name, rules.subject, task.distro, task.domains, models)

@@ -88,7 +88,7 @@ class EnclaveGovernance:
         Args:
             domains: the domains of the policy.
         """
-        return not self.differs and _transparent(self._contents[0], domains)
+        return not self.differs and transparent(self._contents[0], domains)
 
     def excepted(self, rule: DocumentDomainRule, action: str, domain: int) -> Iterator[str]:
         """Yield what a rule of the document leaves open in a domain, and the profile accepts."""
@@ -109,7 +109,8 @@ class EnclaveGovernance:
 
 # Enclaves usually have the same governance.
 @lru_cache(maxsize=64)
-def _transparent(content: bytes, domains: tuple[api.DomainRange, ...]) -> bool:
+def transparent(content: bytes, domains: tuple[api.DomainRange, ...]) -> bool:
+    """Tell whether a governance document leaves it to the permissions; see :meth:`EnclaveGovernance.transparent`."""
     document = signed_governance.read(content)
     if document.quirks or unread_topic(document, STANDARD):
         return False

@@ -4,21 +4,16 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import pytest
 from cryptography import x509
-from cryptography.hazmat.primitives import hashes, serialization
-from cryptography.hazmat.primitives.asymmetric import ec, utils
+from cryptography.hazmat.primitives import serialization
 
-from comarmor.errors import Origin
 from keymint.api import CertificateSpec, KeySpec, Validity
-from keymint.errors import KeymintError
-from keymint.pki import certificate_forms, certificates, der, keys
-from keymint.pki.tokens.token_keys import token_key
+from keymint.pki import certificate_forms, certificates, der, distinguished_names, keys
+from keymint.pki.certificate_forms import CommonParts
 from tests.effort import tries
 from tests.keymint.pki.conftest import Openssl, make_spec, period
 
@@ -41,23 +36,6 @@ EXTENSIONS = {
     "nsComment": ["hello"],
     "1.3.6.1.4.1.9999.1": ["ASN1:UTF8:ä", "critical, DER:0500"],
 }
-
-
-@contextmanager
-def without_the_library() -> Iterator[None]:
-    """Fail where the library writes a certificate."""
-
-    def never(*_: object) -> None:
-        raise AssertionError("the library wrote it")
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(certificate_forms.Form, "signed", never)
-        yield
-
-
-@pytest.fixture(autouse=True)
-def _none_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(certificates, "_TEMPLATES", {})
 
 
 def public(kind: KeySpec = P256) -> keys.PublicKey:
@@ -84,6 +62,25 @@ def random_spec(chosen: random.Random) -> CertificateSpec:
     return make_spec("CN=first", validity=Validity(first, last), hash_algorithm=hash_algorithm, **added)
 
 
+def filled(parts: CommonParts, subject: str, key: keys.PublicKey, issuer: certificates.Issuer) -> bytes:
+    """Return a certificate in PEM that is made of the parts of another one."""
+    content, serial = parts.fill(distinguished_names.parse(subject), keys.public_der(key), issuer.key)
+    pem = certificates.pem_of(content)
+    assert certificates.load(pem).serial_number == serial
+    return pem
+
+
+def is_like(pem: bytes, parts: CommonParts, subject: str, key: keys.PublicKey, issuer: certificates.Issuer) -> bool:
+    name = distinguished_names.parse(subject)
+    return certificates.is_like(pem, parts, name, keys.public_der(key), issuer.certificate)
+
+
+def parts_of(issued: certificates.Issued) -> CommonParts:
+    parts = CommonParts.of(issued.certificate)
+    assert parts is not None
+    return parts
+
+
 def test_they_are_what_the_library_writes(monkeypatch: pytest.MonkeyPatch, openssl: Openssl) -> None:
     chosen = random.Random(27)
     issuers = [
@@ -95,25 +92,54 @@ def test_they_are_what_the_library_writes(monkeypatch: pytest.MonkeyPatch, opens
     monkeypatch.setattr(x509, "random_serial_number", lambda: chosen.getrandbits(chosen.randint(1, 159)) or 1)
     for case in range(tries(150, 10_000)):
         issuer, spec = chosen.choice(issuers), random_spec(chosen)
-        certificates.issue(spec, public(), issuer, authority=False)
+        parts = parts_of(certificates.issue(spec, public(), issuer, authority=False))
         kind = chosen.choice(KINDS)
         key, spec = (
             chosen.choice(rsa) if kind.size else public(kind),
             replace(spec, subject_name=random_subject(chosen)),
         )
-        with without_the_library():
-            issued = certificates.issue(spec, key, issuer, authority=False)
+        pem = filled(parts, spec.subject_name, key, issuer)
+        certificate = certificates.load(pem)
         form = certificate_forms.form(spec, key, issuer.certificate, authority=False)
-        theirs = form.signed(issued.certificate.serial_number, key, issuer.key)
-        assert issued.certificate.tbs_certificate_bytes == theirs.tbs_certificate_bytes, spec
-        assert framed(issued.certificate) == framed(theirs), spec
-        assert issued.pem == certificates.to_pem(issued.certificate)
-        assert issued.diagnostics == form.diagnostics == ()
-        issued.certificate.verify_directly_issued_by(issuer.certificate)
-        assert issued.certificate.public_key() == key
+        theirs = form.signed(certificate.serial_number, key, issuer.key)
+        assert certificate.tbs_certificate_bytes == theirs.tbs_certificate_bytes, spec
+        assert framed(certificate) == framed(theirs), spec
+        assert pem == certificates.to_pem(certificate)
+        assert form.diagnostics == ()
+        certificate.verify_directly_issued_by(issuer.certificate)
+        assert certificate.public_key() == key
+        assert is_like(pem, parts, spec.subject_name, key, issuer)
+        assert parts.is_same(CommonParts.of(certificate))
         if case % (tries(150, 10_000) // 15) == 0:
-            openssl.put(ca=certificates.to_pem(issuer.certificate), identity=issued.pem)
+            openssl.put(ca=certificates.to_pem(issuer.certificate), identity=pem)
             openssl.accepts("verify", "-ignore_critical", "-no_check_time", "-CAfile", "ca", "identity")
+
+
+@pytest.mark.parametrize("kind", [P256, KINDS[-1]], ids=str)
+def test_each_altered_byte_is_found(kind: KeySpec) -> None:
+    issuer, key = new_authority(kind), public()
+    parts = parts_of(certificates.issue(make_spec("CN=/a"), public(), issuer, authority=False))
+    pem = filled(parts, "CN=/b", key, issuer)
+    assert is_like(pem, parts, "CN=/b", key, issuer)
+    content = certificates.load(pem).public_bytes(serialization.Encoding.DER)
+    for place in range(len(content)):
+        altered = content[:place] + bytes((content[place] ^ 1 << place % 8,)) + content[place + 1 :]
+        assert not is_like(certificates.pem_of(altered), parts, "CN=/b", key, issuer), place
+    for other in (pem + b"\n", pem.replace(b"\n", b"\r\n"), pem[:-2], b"", pem.replace(b"CERT", b"cert")):
+        assert not is_like(other, parts, "CN=/b", key, issuer)
+
+
+def test_another_name_key_or_issuer_is_found(authority: certificates.Issuer, other: certificates.Issuer) -> None:
+    key, first = public(), certificates.issue(make_spec("CN=/a"), public(), authority, authority=False)
+    parts = parts_of(first)
+    pem = filled(parts, "CN=/b", key, authority)
+    assert is_like(pem, parts, "CN=/b", key, authority)
+    assert not is_like(pem, parts, "CN=/a", key, authority)
+    assert not is_like(pem, parts, "CN=/b", public(), authority)
+    assert not is_like(pem, parts, "CN=/b", key, other)
+    longer = certificates.issue(make_spec("CN=/b", validity=period(2021, 2080)), key, authority, authority=False)
+    assert not is_like(longer.pem, parts, "CN=/b", key, authority)
+    assert not parts.is_same(CommonParts.of(longer.certificate))
 
 
 def framed(certificate: x509.Certificate) -> list[bytes]:
@@ -124,69 +150,13 @@ def framed(certificate: x509.Certificate) -> list[bytes]:
 
 
 def test_serial_numbers_are_random_and_differ(authority: certificates.Issuer) -> None:
-    issued = [certificates.issue(make_spec("CN=/a"), public(), authority, authority=False) for _ in range(50)]
-    serials = {each.certificate.serial_number for each in issued}
+    parts = parts_of(certificates.issue(make_spec("CN=/a"), public(), authority, authority=False))
+    serials = {certificates.load(filled(parts, "CN=/a", public(), authority)).serial_number for _ in range(50)}
     assert len(serials) == 50
     assert max(serials).bit_length() > 140
 
 
-def test_each_authority_has_its_own(authority: certificates.Issuer, other: certificates.Issuer) -> None:
-    for issuer in (authority, other, authority, other):
-        issued = certificates.issue(make_spec("CN=/a"), public(), issuer, authority=False)
-        issued.certificate.verify_directly_issued_by(issuer.certificate)
-        found = issued.certificate.extensions.get_extension_for_class(x509.AuthorityKeyIdentifier).value
-        own = issuer.certificate.extensions.get_extension_for_class(x509.SubjectKeyIdentifier).value
-        assert found.key_identifier == own.digest
-
-
-@pytest.mark.parametrize(
-    "changed",
-    [
-        {"serial": 7},
-        {"subjectKeyIdentifier": "hash"},
-        {"subjectKeyIdentifier": "0102"},
-        {"subjectKeyIdentifier": "none"},
-        {"validity": period(2030, 2091)},
-    ],
-    ids=str,
-)
-def test_the_library_writes_the_others(authority: certificates.Issuer, changed: dict[str, object]) -> None:
-    """Also a certificate whose end is cut, of which each is warned."""
-    for name in ("CN=/a", "CN=/b"):
-        spec, key = make_spec(name, **changed), public()  # type: ignore[arg-type]
-        issued = certificates.issue(spec, key, authority, authority=False)
-        assert certificates.certificate_satisfies(issued.pem, spec, key, authority.certificate, authority=False)
-        assert len(issued.diagnostics) == ("validity" in changed)
-    assert certificates._TEMPLATES == {}
-
-
-def test_the_library_writes_authorities_and_what_a_token_signs(authority: certificates.Issuer) -> None:
-    key = keys.generate(P256)
-
-    def sign(digest: bytes, _: str) -> bytes:
-        first, second = utils.decode_dss_signature(key.sign(digest, ec.ECDSA(utils.Prehashed(hashes.SHA256()))))
-        return first.to_bytes(32, "big") + second.to_bytes(32, "big")
-
-    in_token = token_key(key.public_key(), sign)
-    of_token = certificates.issue(make_spec("CN=ca"), in_token.public_key(), in_token, authority=True)
-    issuer = certificates.Issuer(of_token.certificate, in_token)
-    for _ in range(2):
-        certificates.issue(make_spec("CN=/a"), public(), issuer, authority=False)
-        certificates.issue(make_spec("CN=middle"), public(), authority, authority=True)
-    assert certificates._TEMPLATES == {}
-
-
-def test_what_is_remembered_has_a_bound(authority: certificates.Issuer) -> None:
-    begin = datetime(2021, 1, 1, tzinfo=UTC)
-    for seconds in range(2 * certificates._MOST_TEMPLATES):
-        spec = make_spec("CN=/a", validity=Validity(begin, begin + timedelta(days=1, seconds=seconds)))
-        certificates.issue(spec, public(), authority, authority=False)
-    assert len(certificates._TEMPLATES) <= certificates._MOST_TEMPLATES
-
-
-def test_a_wrong_name_is_reported_where_it_stands(authority: certificates.Issuer) -> None:
-    certificates.issue(make_spec("CN=/a"), public(), authority, authority=False)
-    wrong = replace(make_spec("CN=/b,X=1"), origin=Origin("src/b/identities.xml", 3))
-    with without_the_library(), pytest.raises(KeymintError, match="not an attribute type") as caught:
-        certificates.issue(wrong, public(), authority, authority=False)
-    assert caught.value.diagnostics[0].where == Origin("src/b/identities.xml", 3)
+@pytest.mark.parametrize("identifier", ["0102", "none"])
+def test_the_identifier_of_the_key_must_be_its_hash(authority: certificates.Issuer, identifier: str) -> None:
+    spec = make_spec("CN=/a", subjectKeyIdentifier=identifier)
+    assert CommonParts.of(certificates.issue(spec, public(), authority, authority=False).certificate) is None

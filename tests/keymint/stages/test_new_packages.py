@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 import random
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,10 +14,12 @@ from typing import Any
 import pytest
 
 from comarmor.errors import Origin
+from keymint.api import KeySpec
 from keymint.life.register import loaded_register
-from keymint.stages.proof.proof_results import EnclaveProof
-from keymint.stages.proof.prove import ProofStage
-from keymint.stages.work import NewPackage, NewPackages
+from keymint.pki import keys
+from keymint.stages.create import CreateStage
+from keymint.stages.enclave_forms import EnclaveForm
+from keymint.stages.work import NewPackage, NewPackages, PackagePlan
 from keymint.view.stamps import Stamp, State, load
 from tests.conftest import Outcome, snapshot
 from tests.effort import tries
@@ -35,6 +37,7 @@ PROFILE = """<profile name="p{n}"><attachment>/robot{n}/{role}</attachment>
 FIRST = """<profile name="first"><attachment>/first</attachment><ros_topic qualifier="ALLOW">
 <attachment>/map</attachment><permissions><ros_publish/></permissions></ros_topic></profile>
 """
+SIZE = 30
 ODD = {
     "sources": ("src/{}/package.defaults/x.xml", "<x/>"),
     "document": ("build/{}/governance.xml", "<edited/>"),
@@ -48,14 +51,28 @@ ODD = {
 def planned(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The packages that are planned at once, as they are planned."""
     names: list[str] = []
-    prove = ProofStage.new
+    create = CreateStage.new
 
-    def seen(self: ProofStage, new: NewPackage) -> EnclaveProof:
+    def seen(self: CreateStage, new: NewPackage) -> PackagePlan:
         names.append(new.name)
-        return prove(self, new)
+        return create(self, new)
 
-    monkeypatch.setattr(ProofStage, "new", seen)
+    monkeypatch.setattr(CreateStage, "new", seen)
     return names
+
+
+@pytest.fixture
+def filled(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
+    """Whether each enclave that was filled in from a form is what form and package say."""
+    found: list[bool] = []
+    holds = EnclaveForm.holds
+
+    def seen(self: EnclaveForm, new: NewPackage, chains: Mapping[str, bytes]) -> bool:
+        found.append(holds(self, new, chains))
+        return found[-1]
+
+    monkeypatch.setattr(EnclaveForm, "holds", seen)
+    return found
 
 
 def policy(size: int, order: random.Random) -> str:
@@ -113,7 +130,12 @@ def register(workspace: Path) -> tuple[list[Any], list[Any]]:
 
 @pytest.mark.parametrize("seed", range(tries(3, 20)))
 def test_new_packages_are_planned_as_one_by_one(
-    keymint: Keymint, tmp_path: Path, planned: list[str], monkeypatch: pytest.MonkeyPatch, seed: int
+    keymint: Keymint,
+    tmp_path: Path,
+    planned: list[str],
+    filled: list[bool],
+    monkeypatch: pytest.MonkeyPatch,
+    seed: int,
 ) -> None:
     draw = random.Random(seed)
     (tmp_path / "p.xml").write_text(f"<profiles>{FIRST}</profiles>")
@@ -128,17 +150,20 @@ def test_new_packages_are_planned_as_one_by_one(
         if kind == "key":
             another_key(tmp_path / "ws", file)
     shutil.copytree(tmp_path / "ws", tmp_path / "before", symlinks=True)
-    (tmp_path / "p.xml").write_text(policy(12, draw))
+    (tmp_path / "p.xml").write_text(policy(SIZE, draw))
     reports, states = [], []
     for alone in (False, True):
         planned.clear()
+        filled.clear()
         with monkeypatch.context() as patch:
             if alone:
                 patch.setattr(NewPackages, "of", lambda *_: None)
             done = keymint("provision", "p.xml", "-w", "ws", "-f", "--json")
         assert done.code == 0, done.err
-        expected = {f"robot{n}/{'listener' if n % 2 else 'talker'}" for n in range(12)} - odd.keys()
+        expected = {f"robot{n}/{'listener' if n % 2 else 'talker'}" for n in range(SIZE)} - odd.keys()
         assert {*planned} == (set() if alone else expected)
+        assert len(filled) >= (0 if alone else SIZE - 16)  # of each of four kinds, the first three are made in full
+        assert all(filled)
         reports.append(json.loads(done.out))
         states.append(record(tmp_path / "ws"))
         (tmp_path / "ws").rename(tmp_path / ("alone" if alone else "at_once"))
@@ -187,3 +212,41 @@ def test_a_revoked_package_is_planned_one_by_one(keymint: Keymint, tmp_path: Pat
     planned.clear()
     keymint("provision", "p.xml", "-w", "ws")
     assert planned == []
+
+
+def other_key(content: bytes) -> bytes:
+    del content
+    return keys.to_pem(keys.generate(KeySpec("ec", "SECP256R1")))
+
+
+ALTERED: Mapping[str, Callable[[bytes], bytes]] = {
+    "cert.pem": lambda content: content[:300] + (b"A" if content[300:301] != b"A" else b"B") + content[301:],
+    "key.pem": other_key,
+    "permissions.p7s": lambda content: content.replace(b"rt/robot", b"rt/rowot"),
+    "governance.p7s": lambda content: content.replace(b">ENCRYPT<", b">NONE<"),
+    "identity_ca.cert.pem": lambda _: b"",
+    "permissions_ca.cert.pem": lambda content: content + content,
+}
+"""What becomes of a file of an enclave between its signature and the proof."""
+
+
+@pytest.mark.parametrize("file", ALTERED)
+def test_the_proof_reads_the_files_that_will_be_written(
+    keymint: Keymint, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str
+) -> None:
+    fill, last = EnclaveForm.fill, list[str]()
+
+    def altered(self: EnclaveForm, new: NewPackage, *others: Any) -> Any:
+        files, issued, rights = fill(self, new, *others)
+        if new.name == "robot28/talker":
+            last.append(new.name)
+            files[file] = replace(files[file], content=ALTERED[file](files[file].content))
+        return files, issued, rights
+
+    monkeypatch.setattr(EnclaveForm, "fill", altered)
+    (tmp_path / "p.xml").write_text(policy(SIZE, random.Random(0)))
+    done = keymint("provision", "p.xml", "-w", "ws")
+    assert last == ["robot28/talker"]
+    assert (done.code, "/robot28/talker" in done.err) == (3, True), done.err
+    assert not (tmp_path / "ws/install").exists()
+    assert not (tmp_path / "ws/src/robot0").exists()
