@@ -18,7 +18,7 @@ from keymint.run.run import Run
 
 
 def run(cwd: Path, **environment: str) -> Run:
-    console = SimpleNamespace(waiting=lambda: None)
+    console = SimpleNamespace(waiting=lambda _process: None)
     return cast("Any", SimpleNamespace(setting=SimpleNamespace(cwd=cwd, environment=environment), console=console))
 
 

@@ -68,7 +68,12 @@ def test_of_errors_the_first_are_shown_since_each_must_be_mended() -> None:
 
 
 @pytest.mark.parametrize(
-    ("more", "said"), [([], ["2 warnings not shown (leave out -q)"]), ([Diagnostic.error("c", "m")], ["error: m [c]"])]
+    ("more", "said"),
+    [
+        ([], ["2 messages not shown (leave out -q)"]),
+        ([Diagnostic.note("c", "m")], ["3 messages not shown (leave out -q)"]),
+        ([Diagnostic.error("c", "m")], ["error: m [c]"]),
+    ],
 )
 def test_a_quiet_run_that_ends_with_3_says_why(more: list[Diagnostic], said: list[str]) -> None:
     found = Report("check", diagnostics=[*expiring(2), *more], exit_code=ExitCode.FINDINGS)
