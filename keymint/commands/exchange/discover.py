@@ -137,11 +137,9 @@ def _observe(
     with ended_by_signals() as ended:
         observed = source.observe(domain, lambda: not ended and run.setting.monotonic() < start + seconds, names)
     if ended:
-        early = Diagnostic.warning(
-            "discovery-interrupted",
-            f"interrupted after {run.setting.monotonic() - start:.0f} of {seconds:g} s: the graph is incomplete",
-            help="--append GRAPH observes again and adds to the graph",
-        )
+        message = f"interrupted after {run.setting.monotonic() - start:.0f} of {seconds:g} s: the graph is incomplete"
+        help_ = "--append GRAPH observes again and adds to the graph"
+        early = Diagnostic.warning("discovery-interrupted", message, help=help_)
         return replace(observed, diagnostics=(*observed.diagnostics, early)), ended[0]
     return observed, None
 

@@ -146,11 +146,8 @@ def observe(domain: int, go_on: Callable[[], bool], names: Mapping[str, str]) ->
         observed = discovered_graph(*observer.capture(), names)
     if observed.graph.subjects:
         return observed
-    nothing = Diagnostic.warning(
-        "discovery-empty",
-        f"no participant seen in domain {domain}",
-        help="check --domain, --seconds, CYCLONEDDS_URI and the network; secured participants are invisible",
-    )
+    help_ = "check --domain, --seconds, CYCLONEDDS_URI and the network; secured participants are invisible"
+    nothing = Diagnostic.warning("discovery-empty", f"no participant seen in domain {domain}", help=help_)
     return replace(observed, diagnostics=(*observed.diagnostics, nothing))
 
 
