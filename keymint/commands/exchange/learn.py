@@ -20,6 +20,7 @@ from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions, force_option, policy_options
 from keymint.command_line.verb import PATH, Report, Run, argument, findings_if, path_option, verb
 from keymint.errors import KeymintError, usage_error
+from keymint.output.json import edge_json
 from keymint.stages.proof.proof_results import ProofEffort
 from keymint.workspace.policy_loading import foreign_policy
 
@@ -91,7 +92,10 @@ def learn(
         "file": str(output) if output and learned.document else None,
         "written": written,
         "policy": None if output else learned.document.decode(),
-        **_listed(learned),
+        "missing": [*map(edge_json, learned.missing)],
+        "unused": [
+            {"code": rule.code, "place": str(rule.where or ""), "message": rule.message} for rule in learned.unused
+        ],
     }
     several = f"the graph has domains {', '.join(map(str, domains))}; the policy allows every edge in each"
     apart = "run discover and learn for each, with one workspace each"
@@ -117,26 +121,6 @@ def _kept(output: Path | None) -> KeymintError:
     """Return the error for a file that has other content than the learned policy."""
     other = "name another file, compare it with the graph by --policy"
     return replacement_refusal(output, "learned", other, "learn-exists")
-
-
-def _listed(learned: LearnedPolicy) -> dict[str, Any]:
-    """Return as JSON which edges were missing, and which permissions of the existing policy are not used."""
-    return {
-        "missing": [
-            {
-                "subject": edge.subject,
-                "permission": edge.permission,
-                "object": edge.object.name,
-                "partitions": edge.object.partitions,
-                "domain": edge.domain,
-            }
-            for edge in learned.missing
-        ],
-        "unused": [
-            {"code": rule.code, "place": str(rule.where) if rule.where else "", "message": rule.message}
-            for rule in learned.unused
-        ],
-    }
 
 
 def _about_domains(
