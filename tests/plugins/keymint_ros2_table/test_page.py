@@ -10,7 +10,7 @@ from contextlib import closing
 from pathlib import Path
 
 from tests.conftest import CHECKOUT
-from tests.test_readme import console
+from tests.pages import is_shown, steps_of
 
 PAGE = CHECKOUT / "docs/tables.md"
 
@@ -25,11 +25,11 @@ def test_the_examples_work(keymint, tmp_path: Path) -> None:
     with closing(sqlite3.connect(tmp_path / "fleet.db")) as database:
         database.executescript(block("sql"))
         database.execute("VACUUM INTO ?", [str(tmp_path / "rules.db")])
-    steps = console(PAGE)
-    for command, output in steps:
-        outcome = keymint(*shlex.split(command)[1:])
+    steps = steps_of(PAGE.read_text())
+    for step in steps:
+        outcome = keymint(*shlex.split(step.what)[1:])
         assert (outcome.code, outcome.err) == (0, "")
-        assert re.fullmatch(re.escape(output).replace("…", ".*"), outcome.out, re.DOTALL), outcome.out
+        assert is_shown(outcome.out, step.content), outcome.out
     assert len(steps) == 6
 
 
