@@ -16,14 +16,14 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
-from comarmor.patterns.decision_lists import Equal
 from comarmor.patterns.glob import parse
 from comarmor.patterns.tokens import STAR
 from comarmor.rules import PARTS, Effect
 from keymint import api
-from keymint.analysis.permission_changes import KEYS, PermissionChange, rule_changes
+from keymint.analysis.permission_changes import PermissionChange, rule_changes
 from keymint.analysis.policy_diff import SubjectChanges
-from keymint.analysis.rule_lists import decision_list, find_permitted, matching_rule
+from keymint.analysis.query import effective_permissions
+from keymint.analysis.rule_lists import matching_rule
 from keymint.analysis.symbolic_search import QueryBudget
 from keymint.errors import KeymintError
 from keymint.ir import Rule
@@ -72,7 +72,8 @@ def changed_rights(
         if changes:
             if len(build_types) > 1:
                 changes = [replace(each, build_type=name) for each in changes]
-            yield SubjectChanges(package.subject, None, True, _permits(after.rules), tuple(changes))
+            is_left = any(True for _ in effective_permissions(after.rules))
+            yield SubjectChanges(package.subject, None, True, is_left, tuple(changes))
 
 
 def rights_of_sources(session: Session, names: Iterable[str]) -> Iterator[SubjectChanges]:
@@ -103,12 +104,6 @@ def _differences(before: api.InstalledRights, after: api.InstalledRights) -> Ite
     )
     for name, number in ((f"domain {each}", each) for each in sorted(old ^ new) if before.rules and after.rules):
         yield PermissionChange(number in new, "", "", parse(name), True, name, None)
-
-
-def _permits(rules: Sequence[Rule]) -> bool:
-    """Tell whether rules permit anything at all."""
-    lists = ((key[0], decision_list(rules, key)) for key in KEYS)
-    return any(not isinstance(find_permitted(kind, own), Equal) for kind, own in lists if own)
 
 
 def _with_composites(rules: Sequence[Rule]) -> tuple[Rule, ...]:

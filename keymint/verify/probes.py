@@ -12,9 +12,10 @@ import string
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from itertools import chain, islice
+from types import MappingProxyType
 
 from comarmor.patterns import glob
-from comarmor.patterns.tokens import Charset, PatternError, Star
+from comarmor.patterns.tokens import Charset, PatternError
 from comarmor.rules import PARTS
 from keymint.api.graph import LABELLED, Edge, Object
 from keymint.ir import Rule, SubjectRules
@@ -164,10 +165,12 @@ def _names(expression: str) -> tuple[str, ...]:
     plain = probes[1]
     probes += [plain + "x", plain[:-1], plain.swapcase(), "/x" + plain, plain + "/x", plain[1:], probes[0][:-1]]
     for at, token in enumerate(parsed):
+        near: tuple[str, ...] = ()
         if isinstance(token, str):
-            probes += [_replaced(parsed, at, near) for near in (token[:-1], token[1:], token.swapcase(), token + "x")]
+            near = token[:-1], token[1:], token.swapcase(), token + "x"
         elif isinstance(token, Charset):
-            probes += [_replaced(parsed, at, near) for near in ("", *_around(token))]
+            near = "", *_around(token)
+        probes += [_filled(parsed, "x", {at: text}) for text in near]
     return tuple(filter(_is_plain, probes))
 
 
@@ -175,30 +178,24 @@ def _is_plain(name: str) -> bool:
     return all(char in _PLAIN for char in name)
 
 
-def _filled(parsed: glob.Glob, filling: str) -> str:
-    """Return a name that a pattern matches: each ``*`` is the filling, each class one of its characters."""
-    return "".join(_samples(parsed, filling))
+def _filled(parsed: glob.Glob, filling: str, but: Mapping[int, str] = MappingProxyType({})) -> str:
+    """Return a name that a pattern matches: each ``*`` is the filling, each class one of its characters.
 
+    That is the character that is in the fewest other classes. If the sample for ``?`` were also in a narrower class, a
+    probe could not detect a change of that class.
 
-def _replaced(parsed: glob.Glob, at: int, text: str) -> str:
-    """Return a name that differs in one place from what a pattern matches."""
-    return "".join(text if index == at else sample for index, sample in enumerate(_samples(parsed, "x")))
-
-
-def _samples(parsed: glob.Glob, filling: str) -> Iterator[str]:
-    """Yield a text that each token matches; for a class, the character that is in the fewest other classes.
-
-    If the sample for ``?`` were also in a narrower class, a probe could not detect a change of that class.
+    Args:
+        parsed: the pattern.
+        filling: text in place of each ``*``.
+        but: texts in place of some tokens, so that the name differs from what the pattern matches.
     """
     classes = [token for token in parsed if isinstance(token, Charset)]
-    for token in parsed:
-        if isinstance(token, Star):
-            yield filling
-        elif isinstance(token, str):
-            yield token
-        else:
-            inside = [char for char in _PLAIN if char in token]
-            yield min(inside, key=lambda char: sum(char in each for each in classes), default="")
+
+    def sample(members: Charset) -> str:
+        inside = [char for char in _PLAIN if char in members]
+        return min(inside, key=lambda char: sum(char in each for each in classes), default="")
+
+    return glob.filled_text(tuple(but.get(at, token) for at, token in enumerate(parsed)), filling, sample)
 
 
 def _around(members: Charset) -> Iterator[str]:

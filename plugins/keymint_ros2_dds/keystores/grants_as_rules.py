@@ -58,8 +58,6 @@ def granted_rules(keystore: KeystoreFiles, enclave: FoundEnclave, distro: str) -
     where = Origin(f"{keystore.folder}/{path}")
     signed = smime.read(keystore.files[path].content, keystore.files[authority].content, where=where)
     document = signed_permissions.read(signed.content, where.file, signed.lines_before)
-    if document.defects:
-        raise KeymintError.of(document.defects)
     place = Origin(f"{keystore.folder}/{_path(keystore, enclave, CERTIFICATE)}")
     name = subject_names.of_any(certificates.load(enclave.certificate, place).subject)
     rules, domains, findings = rules_of(document, name, enclave.subject, distro)
@@ -86,8 +84,6 @@ def installed_rights(
         identity = certificates.load(files.get(CERTIFICATE, b""), Origin(f"{enclave.folder}/{CERTIFICATE}")).subject
     else:
         document, identity = signed_permissions.read(built[name], where.file), parse(anchors.subject_name)
-    if document.defects:
-        raise KeymintError.of(document.defects)
     rules, domains, _ = rules_of(document, subject_names.of_any(identity), subject, anchors.distro)
     return InstalledRights(rules, domains)
 
@@ -98,14 +94,16 @@ def rules_of(
     """Return the rules of an identity in a document, the domains in which they apply, and what is left out.
 
     Args:
-        document: a document that its schema allows.
+        document: the document.
         name: distinguished name of the identity, in the order of RFC 2253.
         subject: the subject.
         distro: ROS 2 distribution whose name mapping applies.
 
     Raises:
-        KeymintError: no policy can say what the document grants, with ``file:line``.
+        KeymintError: its schema does not allow the document, or no policy can say what it grants, with ``file:line``.
     """
+    if document.defects:
+        raise KeymintError.of(document.defects)
     grant, findings = _grant(document, name, subject)
     if grant is None:
         return (), (), findings
