@@ -1,10 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The options that several verbs share, and lengths of time as their values."""
+"""The options that several verbs share, and lengths of time as their values.
+
+Options:
+    force: Replace an existing file with different content.
+    valid_for: Length of validity of certificates and grants, which begins a day ago: 90d, 12h, 2y, P6M [1 year].
+    prune: Remove installed enclaves that have no source package.
+    new_authority: Replace the key and certificate of this authority at once. Deployed enclaves reject what the new one
+        signs until all are redeployed; 'keymint authority replace' goes step by step. May be repeated.
+    prove: Install only if each document is proven to permit exactly what the policy allows.
+    standard: Prove documents by the transport's standard only; for builds with --allow-vendor-specific.
+    strict: Accept no exceptions: what a claim leaves out counts as not proven.
+    revoke_superseded: Where new signed rights allow less than those they replace, revoke the certificate and issue a
+        new one.
+    flag_day: Accept that all subjects restart together, where the old and the new certificate do not work side by side.
+    kind: Kind of OBJECT; 'topic' is a raw topic of the transport [a name that begins with '/' is a ROS name].
+    vendors_of: Ask for the versions of vendors that this ROS 2 distribution ships [the workspace's]. Names of the
+        transport stay those of the workspace.
+    implementation: Ask this implementation of a transport; may be repeated [all usable ones; 'keymint transports' lists
+        them].
+    bundle: File of the bundle, or folder of several, which are named NAME.bundle [the current directory].
+"""
 
 from __future__ import annotations
 
 import math
 import re
+import sys
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
@@ -18,12 +39,13 @@ from comarmor.values import dataclass
 from keymint.api import GraphSource
 from keymint.api.plugin_loader import Plugins
 from keymint.command_line import named_packages
-from keymint.command_line.verb import FILE, argument, flag, option, option_group, path_option, plugin
+from keymint.command_line.verb import FILE, argument, flag, option, option_group, option_texts, path_option, plugin
 from keymint.errors import usage_error
 from keymint.life.terms import Threshold
 from keymint.names import RAW
 from keymint.stages.work import InstallRequest
 
+_, _TEXTS = option_texts(sys.modules[__name__])
 DEFAULT_PROFILE_TYPE = "keymint_ros"
 Names = named_packages.Names
 
@@ -50,7 +72,7 @@ def names_group(word: str = "NAME", *, required: bool = False, state: bool = Tru
     )
 
 
-force_option = flag("-f", help="Replace an existing file with different content.")
+force_option = flag("-f", help=_TEXTS.get("force"))
 
 
 class Number(click.FloatRange):
@@ -168,11 +190,7 @@ def threshold(value: str) -> Threshold:
 # -- new workspaces --------------------------------------------------------------------------------------------------
 
 
-valid_for_option = option(
-    type=iso_validity,
-    metavar="PERIOD",
-    help="Length of validity of certificates and grants, which begins a day ago: 90d, 12h, 2y, P6M [1 year].",
-)
+valid_for_option = option(type=iso_validity, metavar="PERIOD", help=_TEXTS.get("valid_for"))
 
 
 # -- building and installing -----------------------------------------------------------------------------------------
@@ -196,16 +214,9 @@ class DocumentOptions:
 document_options = option_group(DocumentOptions)
 
 
-prove_option = option(
-    "--prove/--no-prove",
-    default=True,
-    show_default=True,
-    help="Install only if each document is proven to permit exactly what the policy allows.",
-)
-standard_option = flag(
-    help="Prove documents by the transport's standard only; for builds with --allow-vendor-specific."
-)
-strict_option = flag(help="Accept no exceptions: what a claim leaves out counts as not proven.")
+prove_option = option("--prove/--no-prove", default=True, show_default=True, help=_TEXTS.get("prove"))
+standard_option = flag(help=_TEXTS.get("standard"))
+strict_option = flag(help=_TEXTS.get("strict"))
 
 
 def _prove_if_strict(request: InstallRequest) -> None:
@@ -219,19 +230,11 @@ def install_request(**more: Any) -> Any:
         InstallRequest,
         _prove_if_strict,
         **more,
-        prune=flag(help="Remove installed enclaves that have no source package."),
-        new_authority=option(
-            multiple=True,
-            metavar="NAME",
-            help="Replace the key and certificate of this authority at once. Deployed enclaves reject what the new one "
-            "signs until all are redeployed; 'keymint authority replace' goes step by step. May be repeated.",
-        ),
+        prune=flag(help=_TEXTS.get("prune")),
+        new_authority=option(multiple=True, metavar="NAME", help=_TEXTS.get("new_authority")),
         prove=prove_option,
         strict=strict_option,
-        revoke_superseded=flag(
-            help="Where new signed rights allow less than those they replace, revoke the certificate and issue "
-            "a new one."
-        ),
+        revoke_superseded=flag(help=_TEXTS.get("revoke_superseded")),
     )
 
 
@@ -239,17 +242,12 @@ def install_request(**more: Any) -> Any:
 
 
 authority_argument = argument(metavar="NAME")
-flag_day_option = flag(
-    help="Accept that all subjects restart together, where the old and the new certificate do not work side by side."
-)
+flag_day_option = flag(help=_TEXTS.get("flag_day"))
 
 
 # -- transports ------------------------------------------------------------------------------------------------------
 
-kind_option = option(
-    type=click.Choice(tuple(PERMISSIONS)),
-    help="Kind of OBJECT; 'topic' is a raw topic of the transport [a name that begins with '/' is a ROS name].",
-)
+kind_option = option(type=click.Choice(tuple(PERMISSIONS)), help=_TEXTS.get("kind"))
 
 
 def raw_topic_doubt(kind: str, name: str, *, typed: bool) -> tuple[Diagnostic, ...]:
@@ -266,18 +264,11 @@ def raw_topic_doubt(kind: str, name: str, *, typed: bool) -> tuple[Diagnostic, .
     return (Diagnostic.warning("query-object", f"{name!r} is read as a raw topic", help=help_),)
 
 
-vendors_of_option = option(
-    metavar="NAME",
-    help="Ask for the versions of vendors that this ROS 2 distribution ships [the workspace's]. Names of the transport "
-    "stay those of the workspace.",
-)
+vendors_of_option = option(metavar="NAME", help=_TEXTS.get("vendors_of"))
 implementation_option = plugin(
-    "keymint.transports",
-    "-i",
-    "--implementation",
-    multiple=True,
-    help="Ask this implementation of a transport; may be repeated [all usable ones; 'keymint transports' lists them].",
+    "keymint.transports", "-i", "--implementation", multiple=True, help=_TEXTS.get("implementation")
 )
+bundle_output_option = path_option("-o", metavar="PATH", help=_TEXTS.get("bundle"))
 
 
 # -- graphs of systems -------------------------------------------------------------------------------------------------

@@ -282,8 +282,8 @@ def option_group(kind: type, check: Callable[[Any], None] = lambda _: None, **op
     return OptionGroup(kind, {**declared, **options}, check)
 
 
-def option_texts(declared: Callable[..., Any]) -> tuple[str, Mapping[str, str]]:
-    """Return the docstring of a verb or data type without its part ``Options:``, and the texts in that, by argument."""
+def option_texts(declared: object) -> tuple[str, Mapping[str, str]]:
+    """Return a docstring without its part ``Options:``, and the texts in that by their names."""
     page, _, listed = (inspect.getdoc(declared) or "").partition("\n\nOptions:\n")
     _, *parts = _ENTRY.split(listed)
     return page, {name: " ".join(text.split()) for name, text in zip(parts[::2], parts[1::2], strict=True)}

@@ -34,14 +34,8 @@ from keymint.workspace.policy_loading import lazy_policy
 from keymint.workspace.session import Session
 
 INSTALLED = "installed"
-
-vendors_option = option(
-    is_flag=False,
-    flag_value=INSTALLED,
-    metavar="NAME=VERSION,...",
-    help="Name known vulnerabilities of access control in these versions of vendors [without a list: those that are "
-    "installed here].",
-)
+"""Value of ``--vendors`` without a list."""
+vendors_option = option(is_flag=False, flag_value=INSTALLED, metavar="NAME=VERSION,...")
 
 
 @verb()
@@ -71,6 +65,8 @@ def check(
         no_prove: Leave out the proof that installed documents permit what the policy says.
         fresh: Prove again what was proven before.
         sarif: Write the findings as SARIF 2.1.0.
+        vendors: Name known vulnerabilities of access control in these versions of vendors [without a list: those that
+            are installed here].
         without_private: Exit with 0 although you may not read all private keys and the register.
     """
     session = run.session(auditing=True)

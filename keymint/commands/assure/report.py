@@ -79,6 +79,8 @@ def report(
             time: 12h, 7d, 4w.
         safety: Critical objects, e.g. '/*/cmd_vel': rights on them come first. May be repeated.
         soon: Mark what ends within this time.
+        vendors: Name known vulnerabilities of access control in these versions of vendors [without a list: those that
+            are installed here].
         sign: Also write FILE.p7s: a signature by this authority, which no robot may obey.
     """
     if output.suffix not in (".html", ".json"):

@@ -17,8 +17,8 @@ from keymint.api import Package, Phase
 from keymint.authority.authorities import MintedAuthority, plan_authorities
 from keymint.authority.rollover import phase_of
 from keymint.command_line.named_files import told_written, user_path, write_outputs
-from keymint.command_line.options import Names, names_group
-from keymint.command_line.verb import Report, Run, flag, path_option, verb
+from keymint.command_line.options import Names, bundle_output_option, names_group
+from keymint.command_line.verb import Report, Run, flag, verb
 from keymint.errors import KeymintError, usage_error
 from keymint.examine.keystore import of_enclaves
 from keymint.life.terms import iso_time
@@ -35,12 +35,6 @@ from keymint.store.changes import Plan
 from keymint.workspace.installed_enclaves import INSTALLED, enclave_names
 from keymint.workspace.package_build_types import build_types_of
 from keymint.workspace.session import Session
-
-bundle_output_option = path_option(
-    "-o",
-    metavar="PATH",
-    help="File of the bundle, or folder of several, which are named NAME.bundle [the current directory].",
-)
 
 
 @verb(dry_run=True)

@@ -15,10 +15,10 @@ from comarmor.errors import Defects, Origin
 from comarmor.text import did_you_mean
 from keymint.authority.authorities import plan_authorities
 from keymint.command_line.named_files import read_input
-from keymint.command_line.options import prove_option
+from keymint.command_line.options import bundle_output_option, prove_option
 from keymint.command_line.verb import FILE, Report, Run, argument, option, verb
 from keymint.commands.robots.accept import fingerprint
-from keymint.commands.robots.bundle import MadeBundle, bundle_output_option, plan_bundles, require_output, write_bundles
+from keymint.commands.robots.bundle import MadeBundle, plan_bundles, require_output, write_bundles
 from keymint.errors import KeymintError, usage_error
 from keymint.life.examine import Keyring
 from keymint.life.package_issuance import place_of, plan_issuance
