@@ -160,6 +160,9 @@ def _carried_out(given: Sequence[str]) -> int:
         message = " ".join(error.format_message().split()).removesuffix(".")
         if error.ctx and message.startswith(("Got unexpected", "Missing argument")):
             message += f"; expected: {' '.join(error.ctx.get_usage().split()).removeprefix('Usage: ')}"
+            extra = message.partition("extra argument (")[2].partition(")")[0]
+            if extra and any(each.name == "workspace" for each in error.ctx.command.params):
+                message += f" (a workspace is named by -w: -w {extra})"
         return _fail(given, "usage", message, ExitCode.USAGE, one_line(f"error: {message}"))
     except (KeyboardInterrupt, click.Abort):
         return report_signal(given, signal.SIGINT)

@@ -35,8 +35,14 @@ INIT, STAGE = "init", "create"
 _IGNORED = b"# Secrets, and files that Keymint can build again.\n/private/\n/build/\n/install/\n/.keymint/\n"
 
 
-def plan_init(inputs: Inputs, profile_type: str, request: api.Bootstrap) -> Plan:
+def plan_init(inputs: Inputs, profile_type: str, request: api.Bootstrap, cwd: Path | None = None) -> Plan:
     """Plan the files of a new workspace; existing files are kept.
+
+    Args:
+        inputs: the workspace.
+        profile_type: the plugin that makes the profile.
+        request: what the profile has.
+        cwd: the current folder, for a word to who makes that a workspace.
 
     Raises:
         KeymintError: no such profile type, distro or layout; or the folder is a keystore of another tool.
@@ -57,7 +63,8 @@ def plan_init(inputs: Inputs, profile_type: str, request: api.Bootstrap) -> Plan
     if inputs.tree.read(inputs.workspace.root / ".gitignore") is None:
         changes.append(FolderChange(inputs.workspace.root, {".gitignore": File(_IGNORED)}))
     changes.append(FolderChange(root, ordered))
-    return Plan((Step(INIT, "", Action.CREATED, tuple(changes), "workspace profile"),), inputs.state)
+    what = f"workspace profile{', in the current folder' if place == cwd else ''}"
+    return Plan((Step(INIT, "", Action.CREATED, tuple(changes), what),), inputs.state)
 
 
 def refuse_lost_profile(inputs: Inputs, distro: str | None) -> None:

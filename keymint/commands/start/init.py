@@ -79,7 +79,9 @@ def init(
 
     def make_plan(inputs: Inputs) -> Plan:
         refuse_lost_profile(inputs, profile.distro)
-        work = Work.after(inputs, plan_init(inputs, profile.profile_type or DEFAULT_PROFILE_TYPE, request))
+        work = Work.after(
+            inputs, plan_init(inputs, profile.profile_type or DEFAULT_PROFILE_TYPE, request, run.setting.cwd)
+        )
         refuse_unsupported(work.session)
         return work.then(plan_authorities(work.session)[0]).plan
 
@@ -103,9 +105,12 @@ def bootstrap_request(run: Run, workspace: Workspace, policy: Path | None, profi
     if path is not None and not path.exists():
         message = "no such file or folder"
         raise KeymintError(message, where=Origin(str(policy)), help="name a ComArmor policy", code="policy-missing")
-    environment = run.setting.environment
+    environment, root = run.setting.environment, workspace.root
+    if root == run.setting.cwd and root in {Path("/"), Path(environment.get("HOME", "/"))} and not workspace.exists():
+        message = f"{root} would become a workspace, and is no folder for one"
+        raise usage_error(message, "name one that is made for it: -w robot_ws")
     return Bootstrap(
-        name=workspace.root.name or "workspace",
+        name=root.name or "workspace",
         policy=policy_path(path, workspace.profile) if path else "",
         distro=profile.distro or environment.get("ROS_DISTRO") or DEFAULT_DISTRO,
         domain=profile.domain or 0,

@@ -69,7 +69,8 @@ def provision(
             work, moved = Work(before).then(named), policy if named.writes() else None
         else:
             create.refuse_lost_profile(inputs, profile.distro)
-            work = Work.after(inputs, create.plan_init(inputs, profile.profile_type or DEFAULT_PROFILE_TYPE, bootstrap))
+            plugin = profile.profile_type or DEFAULT_PROFILE_TYPE
+            work = Work.after(inputs, create.plan_init(inputs, plugin, bootstrap, run.setting.cwd))
             create.refuse_unsupported(work.session)
         work = accept(work, acceptance)
         acquired = lazy_policy(work.session)

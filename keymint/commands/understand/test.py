@@ -14,7 +14,7 @@ from keymint.command_line.named_files import write_outputs
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import Number, PolicyOptions, policy_options
 from keymint.command_line.verb import FILE, PATH, Report, Run, argument, findings_if, option, path_option, verb
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, usage_error
 from keymint.ir import Rule
 from keymint.output.junit import JUnitCase
 from keymint.output.junit import junit as junit_document
@@ -48,6 +48,9 @@ def test(
         junit: Write JUnit XML.
         min_coverage: Fail if rule coverage is below PERCENT [0].
     """
+    if 0 < min_coverage < 1:
+        message = f"--min-coverage {min_coverage:g} is less than one percent"
+        raise usage_error(message, f"PERCENT goes to 100: --min-coverage {100 * min_coverage:g}")
     policies = Policies(run, policy_options)
     policy_type = run.plugins.policy_type(policy_options.policy_type)
     folders, library = policies.places(policy)

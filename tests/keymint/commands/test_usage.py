@@ -93,6 +93,11 @@ def test_a_value_out_of_a_known_set_is_wrong_usage(
         (("init", "x", "--distro", "jazy"), "did you mean 'jazzy'?"),
         (("provision", "policy.xml", "--distro", "Humble"), "did you mean 'humble'?"),
         (("verify", "-i", "cyclonedd"), "did you mean 'cyclonedds'?"),
+        (
+            ("provision", "policy.xml", "ws"),
+            "expected: keymint provision [OPTIONS] POLICY (a workspace is named by -w: -w ws)",
+        ),
+        (("test", "policy.xml", "--min-coverage", "0.9"), "PERCENT goes to 100: --min-coverage 90"),
         (("lint", "policy.xml", "--policy-type", "keymint_ros_comarmor"), "did you mean 'keymint_ros2_comarmor'?"),
     ],
 )

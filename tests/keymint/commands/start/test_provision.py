@@ -218,3 +218,17 @@ def test_a_lost_profile_is_not_made_again_with_defaults(
     assert keymint("provision", "policy.xml", "-w", "ws").code == 0
     assert "<distro>jazzy</distro>" in marker.read_text()
     assert keymint("check", "-w", "ws").code == 0
+
+
+@pytest.mark.parametrize("verb", [("provision", "../policy.xml"), ("init",)], ids=" ".join)
+def test_the_current_folder_becomes_a_workspace_but_not_silently_and_not_home(
+    keymint: Callable, policy: Path, verb: tuple[str, ...]
+) -> None:
+    folder = policy.parent / "here"
+    folder.mkdir()
+    refused = keymint(*verb, cwd=folder, env={"HOME": str(folder)})
+    assert (refused.code, "would become a workspace" in refused.err) == (2, True)
+    assert [*folder.iterdir()] == []
+    made = keymint(*verb, cwd=folder)
+    assert made.out.startswith("created   init        workspace profile, in the current folder\n")
+    assert keymint(*verb, cwd=folder, env={"HOME": str(folder)}).code == 0
