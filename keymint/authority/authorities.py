@@ -230,8 +230,8 @@ def _certificate(
         "authority-reissued",
         f"the certificate of the authority {files.name!r} is reissued for the same key",
         files.certificate_file,
-        "deploy all enclaves together: if it signs rights, some vendors let subjects that hold different certificates "
-        "of it not communicate",
+        "deploy all enclaves together: if it signs rights, subjects with different certificates of it cannot "
+        "communicate on some vendors",
     )
     return _issued(files, key, above, [again] if files.in_use() else [])
 

@@ -267,5 +267,5 @@ def elsewhere(session: Session) -> Iterator[Diagnostic]:
         if authority.certificate.key.uri or is_known or not session.tree.has_file(certificate):
             continue
         message = f"the private key of {name!r} is not here"
-        help_ = f"nothing to do if you keep it elsewhere; else restore it, or if it is lost: {new_authority_help(name)}"
+        help_ = f"no action needed if it is elsewhere; else restore it, or if it is lost: {new_authority_help(name)}"
         yield Diagnostic.note("authority-key-missing", message, workspace.origin(certificate), help_)

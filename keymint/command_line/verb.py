@@ -126,7 +126,7 @@ def _renamed(
         return None
     options[str(now.name)] = (*options[str(now.name)], *value) if isinstance(value, tuple) else value
     message = f"the option {'/'.join(before.opts)} is called {now.opts[-1]} now"
-    return Diagnostic.warning("option-renamed", message, None, "write the new name: the next release has no other")
+    return Diagnostic.warning("option-renamed", message, None, "use the new name: the next release has no other")
 
 
 def _defaults(context: click.Context, setting: Setting, verb: str) -> tuple[dict[str, Any], KeymintError | None]:

@@ -124,8 +124,8 @@ def _require_known_authorities(
             help_ = f"if the authorities changed, ask their owner for the fingerprint {give}"
             raise KeymintError(message, where=where, help=help_, code="bundle-authority")
     if not trusted:
-        nobody = "no enclave in this keystore does" if present.known else "this keystore trusts no authority yet"
-        message = f"it is by an authority whom nobody vouches for: {nobody}"
+        nobody = "no enclave in this keystore trusts it" if present.known else "this keystore trusts no authority yet"
+        message = f"its authority is not known here: {nobody}"
         help_ = f"ask its owner for the fingerprint of the key {give}"
         raise KeymintError(message, where=where, help=help_, code="bundle-authority")
 
@@ -161,7 +161,7 @@ def _require_expected(
         raise KeymintError(message, where=where, help=help_, code="bundle-nonce")
     if is_new and pending is None and not owner.new:
         message = f"it is for {manifest.enclave}, which this keystore does not have and did not request"
-        help_ = "if it is for this robot, say --new"
+        help_ = "if it is for this robot, add --new"
         raise KeymintError(message, where=where, help=help_, code="bundle-unexpected")
 
 

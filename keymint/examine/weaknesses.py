@@ -50,18 +50,18 @@ def open_steps(session: Session) -> tuple[OpenStep, ...]:
     """
     found = []
     if both := signing_issuers(session):
-        cost = "a flag day: all documents are signed again, and all robots restart together with the new keystore"
+        cost = "requires restarting all robots together with the new keystore: all documents are signed again"
         found.append(OpenStep(Weakness.AUTHORITY, both, flag_day=True, cost=cost))
     if lacking := tuple(lacks(session)):
         signs = {name for name in lacking if any(each.signs for each in uses(session).get(name, ()))}
         cost = "nothing restarts: robots with the old and with the new certificate of the authority work together"
         if signs:
-            cost = f"a flag day, since {', '.join(sorted(signs))} signs documents: all robots restart together"
+            cost = f"requires restarting all robots together, since {', '.join(sorted(signs))} signs documents"
         if signs and both:
-            cost += f"; none after '{Weakness.AUTHORITY}'"
+            cost += f"; not if you do '{Weakness.AUTHORITY}' first"
         found.append(OpenStep(Weakness.IDENTIFIERS, lacking, flag_day=bool(signs), cost=cost))
     if plain := tuple(name for name in session.packages() if not _is_unique(session, name)):
-        cost = "each enclave gets a new certificate and new permissions: copy it, and restart its nodes; others go on"
+        cost = "each enclave gets a new certificate and new permissions: copy it, and restart its nodes and no others"
         found.append(OpenStep(Weakness.NAMES, plain, flag_day=False, cost=cost))
     return tuple(found)
 

@@ -191,11 +191,11 @@ def _limits(
         yield Diagnostic.warning("keys-given-up", message, None, help_, subject_of(name))
     same = [name for name in packages if not _has_generation(session, name)]
     if same:
-        fit = "still fit the new certificate" if reason == SUPERSEDED else "would fit a later certificate as well"
+        fit = "still match the new certificate" if reason == SUPERSEDED else "would match a later certificate as well"
         package = session.package(same[0])
         yield Diagnostic.warning(
             "generation-none",
-            f"the subject name has no generation: permissions that were signed before {fit}"
+            f"the subject name has no generation: permissions signed before {fit}"
             + (f" [{quantity(len(same), 'package')}]" if len(same) > 1 else ""),
             package.grant.defaults_origin or session.package_marker(same[0]),
             "write {unique} into both subject names (--subject-format unique), or run 'keymint renew --rekey NAME' "

@@ -68,7 +68,7 @@ def gauges(session: Session, rows: Sequence[StatusRow]) -> tuple[Gauge, ...]:
         ("permissions_expiry", "End of the permissions of an enclave.", of_enclaves(PERMISSIONS)),
         (
             "renew_after",
-            "From when on 'keymint renew' renews an enclave; none while its authority must be renewed first.",
+            "Date from which 'keymint renew' renews an enclave; none while its authority must be renewed first.",
             {f"/{row.package}": row.renew_after for row in rows},
         ),
     )
@@ -78,7 +78,7 @@ def gauges(session: Session, rows: Sequence[StatusRow]) -> tuple[Gauge, ...]:
         ("authority_expiry", "End of the certificate of an authority.", authority_ends(session)),
         (
             "authority_renew_after",
-            "From when on an authority cuts what it signs, so that a person must renew it.",
+            "Date from which an authority shortens what it signs, so that a person must renew it.",
             authority_renewals(session, terms),
         ),
     )

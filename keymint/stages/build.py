@@ -118,7 +118,8 @@ class BuildStage(PackageStage):
             help_ = f"write <layout>{own.layout}</layout><distro>{own.distro}</distro> into <export>, or what they have"
             diagnostics[Diagnostic.warning("distro-unnamed", message, session.profile_marker(), help_)] = None
         for former, now in session.profile.renamed.items():
-            message, help_ = f"the element <{former}> is called <{now}> now", "write the new name: the former one goes"
+            message = f"the element <{former}> is called <{now}> now"
+            help_ = "use the new name: the next release reads no other"
             diagnostics[Diagnostic.warning("element-renamed", message, session.profile_marker(), help_)] = None
         return Plan((*steps, *steps_of(shared)), state_after(built.state, STAGE, shared), tuple(diagnostics))
 
@@ -131,7 +132,7 @@ class BuildStage(PackageStage):
             message = f"{quantity(len(names), 'private key')} replaced: {', '.join(map(subject_of, names))}"
             ends = f"keymint revoke {names[0] if len(names) == 1 else 'NAME'} --reason superseded"
             help_ = (
-                f"deploy and restart what has them; '{ends}' ends certificates of the former keys, and spares the new"
+                f"deploy them and restart their processes; '{ends}' revokes the certificates of the former keys alone"
             )
             yield Diagnostic.warning("keys-replaced", message, None, help_)
 

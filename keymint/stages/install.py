@@ -206,7 +206,8 @@ def _still_good(session: Session, removed: Sequence[str]) -> Iterator[Diagnostic
         others = f" [{len(ends)} enclaves]" if len(ends) > 1 else ""
         yield Diagnostic.warning(
             "certificate-in-force",
-            f"the certificate of the removed enclave {subject_of(name)} stays good until {terms.iso_time(end)}{others}",
+            f"the certificate of the removed enclave {subject_of(name)} remains valid until {terms.iso_time(end)}"
+            f"{others}",
             None,
             f"'keymint revoke {name} --reason retired' ends it",
             subject_of(name) if len(ends) == 1 else "",

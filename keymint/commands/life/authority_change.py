@@ -51,10 +51,10 @@ def issued_again(run: Run, session: Session, first: Plan, name: str, *, flag_day
     asks = first.writes() and not flag_day and enclave_names(session)
     if titles := changes.refusing_implementations(session, name, (), "reissues") if asks else ():
         raise KeymintError(
-            f"a new certificate of {name!r} is a flag day: with {' and '.join(titles)}, subjects that have the old one "
-            "and subjects that have the new one do not communicate",
+            f"a new certificate of {name!r} requires restarting all robots together: with {' and '.join(titles)}, "
+            "subjects with the old one and subjects with the new one cannot communicate",
             where=session.workspace.origin(session.workspace.authority_certificate(name)),
-            help=f"plan a common restart of all robots and say --flag-day, or stage a second keystore with "
+            help=f"plan a common restart of all robots and add --flag-day, or stage a second keystore with "
             f"'keymint authority replace {name}'",
             code="authority-flag-day",
         )

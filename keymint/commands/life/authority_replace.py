@@ -109,7 +109,7 @@ def _told(session: Session, name: str, before: Phase | None, reached: Phase | No
         text, help_ = f"the key of the authority {name!r} is not being replaced", f"copy {install_space}/ to all robots"
     elif before is Phase.STAGE:
         text = f"{name!r} is replaced: {install_space}/ is the keystore that all robots have"
-        help_ = "the former one works with none of them any more"
+        help_ = "the former one no longer works with any of them"
     else:
         text = f"{name!r} is replaced: nobody trusts the former authority any more"
         help_ = f"copy {install_space}/ to all robots and restart them, in any order"

@@ -116,7 +116,7 @@ def plan_authority(session: Session, step: OpenStep, *, flag_day: bool) -> Plan:
             has such an authority.
     """
     if not flag_day:
-        help_ = "plan a common restart of all robots and say --flag-day"
+        help_ = "plan a common restart of all robots and add --flag-day"
         raise KeymintError(f"this is {step.cost}", help=help_, code="authority-flag-day")
     profile, former = session.profile, step.concerns[0]
     name = session.profile_type.SIGNER

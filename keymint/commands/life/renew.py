@@ -214,9 +214,9 @@ def _issued_again(run: Run, session: Session, due: Schedule, names: Sequence[str
 def _authority_due(due: AuthorityDue) -> Diagnostic:
     """Return the finding on an authority that is due."""
     first = (*due.issuers[::-1], due.name)[0]
-    message = f"the authority {due.name!r} is due: it ends on {iso_time(due.end)}"
+    message = f"the authority {due.name!r} is due: it expires on {iso_time(due.end)}"
     if due.packages:
-        message += f", and what it signs for {quantity(len(due.packages), 'enclave')} ends with it"
+        message += f", and what it signs for {quantity(len(due.packages), 'enclave')} expires with it"
     if due.issuers:
         message += f"; so does its issuer {due.issuers[0]!r}"
     return Diagnostic.warning("authority-due", message, None, f"run 'keymint authority renew {first}'")
@@ -244,17 +244,18 @@ def _lines(
         f"in force until {_date(each['until'])}"
         for each in result["unchanged"]
     ]
-    lines += [f"waits for a signature: {each['subject']}: {_why(each)}" for each in result["waiting"]]
+    lines += [f"{each['subject']} not renewed, a key for it is not here: {_why(each)}" for each in result["waiting"]]
     lines += [f"{would} the revocation list of {each['authority']}: {_why(each)}" for each in result["lists"]]
     lines += [
-        f"waits for a signature: the revocation list of {each['authority']}: {_why(each)}" for each in waiting_lists
+        f"revocation list of {each['authority']} not renewed, its key is not here: {_why(each)}"
+        for each in waiting_lists
     ]
     own = {each["subject"] for each in result["renewed"]}
     changed = [*map(subject_of, updated_packages(plan))]
     staged = [subject_of(step.package) for step in plan.steps if step.stage == STAGE and step.package and step.writes()]
     for text, subjects in {
-        "deploy and restart before the old documents end:": [each for each in changed if each in own],
-        "deploy the new revocation list and restart before the old one ends:": [
+        "deploy and restart before the old documents expire:": [each for each in changed if each in own],
+        "deploy the new revocation list and restart before the old one expires:": [
             each for each in changed if each not in own
         ],
         "deploy install.next/ as well, which was staged by 'authority replace':": staged,
@@ -275,9 +276,9 @@ def _lines(
 
 def _why(due: Mapping[str, Any]) -> str:
     if due["why"] is None or due["due"] is None:
-        return "as you asked"
+        return "as requested"
     verb = "end" if due["why"] == renewal_schedule.PERMISSIONS else "ends"
-    return f"its {due['why']} {verb} on {_date(due['ends'])}, so it was due from {_date(due['due'])} on"
+    return f"its {due['why']} {verb} on {_date(due['ends'])}, so it has been due since {_date(due['due'])}"
 
 
 def _date(moment: datetime | None) -> str:

@@ -93,7 +93,7 @@ def shown_revocation(run: Run, revoking: Revoking, result: Mapping[str, Sequence
     if peers := result["restart"]:
         yield (
             f"deploy and restart {quantity(len(peers), 'enclave')}: {subject_list(peers)}; a node that runs keeps its "
-            "old list, and until its restart accepts the revoked certificate; connections made before go on until then"
+            "old list, and accepts the revoked certificate until its restart; existing connections continue until then"
         )
     if shared := result["shared"]:
         yield f"deploy {', '.join(shared)}, and restart what reads it"

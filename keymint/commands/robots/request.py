@@ -79,7 +79,7 @@ def request(
             there = keystore_of(run, folder)
         elif rekey and not uri and (waiting := there.pending(name)) is not None and not waiting.key:
             message = f"a request of {subject_of(name)} for the key that it has waits for its answer"
-            help_ = "carry it to the authority, or say --discard as well"
+            help_ = "carry it to the authority, or add --discard"
             raise KeymintError(message, where=Origin(keystore.shown), help=help_, code="request-waits")
     asked = requests.read(content, Origin(keystore.shown))
     target = output or Path(f"{name.replace('/', '.')}.request.pem")

@@ -43,7 +43,7 @@ _VIEW: Mapping[str, tuple[str, str]] = {
     "revocation-list-not-yet-valid": ("adopt-revocations", _ISSUE),
     "key-mismatch": ("adopt-key-mismatch", "restore the key or the certificate; participants do not start with these"),
     "names-confused": ("names-confused", "'keymint harden names' gives it another name"),
-    "pem-altered": ("adopt-encoding", "nothing: it stays as it is"),
+    "pem-altered": ("adopt-encoding", "no action needed: it stays in use"),
     "grant-count": ("adopt-grants", "sign a document with one grant"),
     "grant-subject": ("adopt-grant-subject", "sign permissions for this certificate"),
     "grant-default": ("adopt-default", "sign a document whose default is DENY"),
@@ -139,7 +139,7 @@ class _Enclave(EnclaveRules):
         if layout.KEY not in self._files:
             message = "is not here: the enclave is taken over without it, and gets no other one"
             where = self._where(layout.KEY)
-            yield Diagnostic.note("adopt-key-elsewhere", message, where, "nothing, if the robot has it")
+            yield Diagnostic.note("adopt-key-elsewhere", message, where, "no action needed if the robot has it")
         elif self._key_state() != "unknown":
             yield from exposure(self._contents, self._enclave.files[layout.KEY], self._subject)
         if grant := self._only_grant():
@@ -168,7 +168,7 @@ class _Enclave(EnclaveRules):
             yield self._error("adopt-name", layout.CERTIFICATE, message, help_)
         elif not self._is_named_like_path():
             message = f"is for {subject_name!r}, but the path of its enclave is {self._subject}"
-            yield self._warning("adopt-name", layout.CERTIFICATE, message, "nothing: the name stays as it is")
+            yield self._warning("adopt-name", layout.CERTIFICATE, message, "no action needed: the name stays in use")
 
     def _of_grant(self, grant: DocumentGrant) -> Iterator[Diagnostic]:
         if grant.rules and not self._domains():

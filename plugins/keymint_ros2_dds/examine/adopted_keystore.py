@@ -259,7 +259,7 @@ class _ForeignKeystore:
             if revocation_lists.problem(content, authority):
                 if path not in used:  # else it is reported with the enclave
                     message = f"is no revocation list of the authority {issuer.name!r}"
-                    help_ = "nothing, if it concerns no identity of this keystore; it is not taken over"
+                    help_ = "no action needed if it concerns no identity of this keystore; it is not taken over"
                     self._findings.append(Diagnostic.warning(_REVOCATIONS, message, place, help_))
                 continue
             try:

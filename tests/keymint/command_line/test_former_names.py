@@ -10,7 +10,7 @@ import pytest
 from tests.conftest import CHECKOUT
 
 FLEET = CHECKOUT / "examples/fleet"
-HINT = "write the new name: the next release has no other"
+HINT = "use the new name: the next release has no other"
 
 
 @pytest.mark.parametrize(

@@ -202,7 +202,7 @@ MISTAKES = [
     *(Mistake(33, f"an authority's key deleted, then {verb}", remove("ws/private/identity_ca.key.pem"),
         f"{verb} -w ws", "authority-key-missing", 0, "the private key of 'identity_ca' is not here",
         "ws/public/identity_ca.cert.pem",
-        "nothing to do if you keep it elsewhere; else restore it") for verb in ("check", "status",
+        "no action needed if it is elsewhere; else restore it") for verb in ("check", "status",
         "provision robot.xml")),
     Mistake(35, "all certificates expired", same, "check -w ws", "certificate-expired", 3, "expired on",
         f"ws/{ENCLAVE}/cert.pem", "'keymint renew camera'", {"SOURCE_DATE_EPOCH": YEARS}),

@@ -38,8 +38,8 @@ def test_costs_are_said_and_nothing_changes(keymint, adopted: Path) -> None:
     before = snapshot(adopted)
     lines = complete(keymint("harden", "-w", "ws")).splitlines()
     assert [line.split(":")[0] for line in lines] == ["authority", "identifiers", "names"]
-    assert "all robots restart together" in lines[0]
-    assert "a flag day, since ca signs documents" in lines[1]
+    assert "requires restarting all robots together" in lines[0]
+    assert "requires restarting all robots together, since ca signs documents" in lines[1]
     assert "copy it, and restart its nodes" in lines[2]
     assert complete(keymint("harden", "names", "-w", "ws")) == lines[2] + "\n"
     assert snapshot(adopted) == before
@@ -63,7 +63,7 @@ def test_all_steps_in_the_order_of_the_report(keymint, adopted: Path) -> None:
     original = files(install)
     for step in ("authority", "identifiers"):
         refused = keymint("harden", step, "--apply", "-w", "ws")
-        assert (refused.code, "flag day" in refused.err) == (1, True)
+        assert (refused.code, "restart of all robots" in refused.err) == (1, True)
         assert files(install) == original
     complete(keymint("harden", "authority", "--apply", "--flag-day", "-w", "ws"))
     signed = files(install)

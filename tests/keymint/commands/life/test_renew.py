@@ -65,7 +65,7 @@ class TestDue:
         outcome = keymint("renew", "--state", "due", "--dry-run", "--json", cwd=ws, env=at(DUE))
         assert {each["why"] for each in outcome.document["result"]["renewed"]} <= {"certificate", "permissions"}
         assert all(each["ends"] and each["due"] for each in outcome.document["result"]["renewed"])
-        assert "as you asked" not in keymint("renew", "--state", "due", "--dry-run", cwd=ws, env=at(DUE)).out
+        assert "as requested" not in keymint("renew", "--state", "due", "--dry-run", cwd=ws, env=at(DUE)).out
         cut = "the time of --threshold is more than half of a validity; due after that half: /robot1/listener, /talker"
         assert cut in keymint("renew", "--threshold", "200d", cwd=ws).out
         assert "more than half" not in keymint("renew", "--threshold", "30d", cwd=ws).out
@@ -112,7 +112,7 @@ class TestDue:
             assert enclave(ws, name)["governance.p7s"] == governance[name]
         assert {name: (ws / IDENTITY_KEYS[index]).read_bytes() for index, name in enumerate(PACKAGES)} == keys
         assert {path: public_key(ws / path) for path in AUTHORITY_KEYS} == authorities
-        assert "deploy and restart before the old documents end: /robot1/listener, /talker" in outcome.out
+        assert "deploy and restart before the old documents expire: /robot1/listener, /talker" in outcome.out
         for verb in ("check", "prove"):
             assert keymint(verb, cwd=ws, env=at(DUE)).code == 0
         status = keymint("status", "--json", cwd=ws, env=at(DUE)).document["result"]["packages"]
@@ -184,7 +184,7 @@ class TestNamed:
         others = enclave(ws, "robot1/listener")
         outcome = keymint("renew", "/talker", cwd=ws, env=at(10))
         assert outcome.code == 0
-        assert "renewed /talker: as you asked; now in force until 2028-01-24" in outcome.out
+        assert "renewed /talker: as requested; now in force until 2028-01-24" in outcome.out
         assert "next is /talker" not in outcome.out  # that was the date of what is replaced
         assert enclave(ws, "robot1/listener") == others
 
@@ -338,7 +338,7 @@ class TestWithoutTheKeysOfAuthorities:
         assert [each["subject"] for each in waiting] == ["/robot1/listener", "/talker"]
         assert [each["severity"] for each in outcome.document["diagnostics"]] == [severity]
         assert (
-            "waits for a signature: /talker: its certificate ends on"
+            "/talker not renewed, a key for it is not here: its certificate ends on"
             in keymint("renew", *options, cwd=ws, env=at(DUE)).out
         )
         assert content(ws) == before
@@ -363,7 +363,7 @@ class TestWithoutTheKeysOfAuthorities:
         for options, code in (((), 1), (("--dry-run",), 3)):
             outcome = keymint("renew", *options, cwd=ws, env=at(25))
             assert (outcome.code, "renew the" in outcome.out, "renewed the" in outcome.out) == (code, False, False)
-            assert "waits for a signature: the revocation list of identity_ca: " in outcome.out
+            assert "revocation list of identity_ca not renewed, its key is not here: " in outcome.out
 
     def test_nothing_is_needed_while_nothing_is_due(self, keymint: Callable, ws: Path) -> None:
         for path in AUTHORITY_KEYS:

@@ -405,13 +405,13 @@ def test_distributions_that_read_no_list(keymint, policy: Path, tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    ("reason", "fit"), [("superseded", "still fit the new"), ("key-compromise", "would fit a later")]
+    ("reason", "fit"), [("superseded", "still match the new"), ("key-compromise", "would match a later")]
 )
 def test_the_subject_format_of_sros2_has_no_generation(keymint, policy: Path, reason: str, fit: str) -> None:
     assert keymint("provision", policy, "-w", "ws", "--subject-format", "sros2").code == 0
     outcome = keymint("revoke", "talker", "--reason", reason, "-w", "ws")
     assert outcome.code == 0
-    assert f"the subject name has no generation: permissions that were signed before {fit}" in outcome.err
+    assert f"the subject name has no generation: permissions signed before {fit}" in outcome.err
 
 
 def test_narrower_rights(provisioned: Path, keymint, policy: Path) -> None:
@@ -531,7 +531,7 @@ def test_a_pruned_enclave_is_not_revoked_and_that_is_said(provisioned: Path, key
     (provisioned / "src/talker").rmdir()
     outcome = keymint("install", "--prune", "--no-prove", cwd=provisioned)
     assert outcome.code == 0
-    assert "the certificate of the removed enclave /talker stays good until 2028-01-14" in outcome.err
+    assert "the certificate of the removed enclave /talker remains valid until 2028-01-14" in outcome.err
     assert keymint("revoke", "talker", "--reason", "retired", cwd=provisioned).code == 0
     assert len(crl(provisioned / "install/enclaves/robot1/listener/crl.pem")) == 1
 

@@ -180,4 +180,7 @@ def test_a_list_that_no_node_takes(keymint, keystore: Path, content, words: str)
 def test_a_list_of_others_beside_it_is_not_taken_over(keymint, keystore: Path) -> None:
     (keystore / "public/other.crl").write_bytes(revoking(keystore, [OTHER], other=True))
     outcome = keymint("adopt", "ks")
-    assert "ks/public/other.crl: warning: is no revocation list of the authority 'ca' (nothing, if it" in outcome.err
+    assert (
+        "ks/public/other.crl: warning: is no revocation list of the authority 'ca' (no action needed if it"
+        in outcome.err
+    )
