@@ -77,20 +77,12 @@ def form(
         KeymintError: the specification cannot be issued; with its origin.
     """
     if spec.serial is not None and not 0 < spec.serial < _MAX_SERIAL:
-        raise KeymintError(
-            f"the serial number {spec.serial} is not between 1 and 2^159 - 1 (RFC 5280, 4.1.2.2)",
-            where=spec.origin,
-            help="leave it empty for a random one",
-            code="serial-invalid",
-        )
+        message = f"the serial number {spec.serial} is not between 1 and 2^159 - 1 (RFC 5280, 4.1.2.2)"
+        raise KeymintError(message, where=spec.origin, help="leave it empty for a random one", code="serial-invalid")
     hash_algorithm = HASHES.get(spec.hash_algorithm.upper().replace("-", ""))
     if hash_algorithm is None:
-        raise KeymintError(
-            f"{spec.hash_algorithm!r} is not a supported hash algorithm",
-            where=spec.origin,
-            help=f"known are {', '.join(HASHES)}",
-            code="hash-unknown",
-        )
+        message = f"{spec.hash_algorithm!r} is not a supported hash algorithm"
+        raise KeymintError(message, where=spec.origin, help=f"known are {', '.join(HASHES)}", code="hash-unknown")
     if issuer is not None:
         _check_issuer(issuer, spec.origin, authority=authority)
     subject = distinguished_names.parse(spec.subject_name, spec.origin)
@@ -219,12 +211,8 @@ def checked_validity(validity: Validity, issuer: x509.Certificate | None, where:
     clamped = validity_within(validity, issuer)
     if clamped.not_before >= clamped.not_after:
         beyond = f", within the validity of its issuer {to_text(issuer.subject)!r}" if issuer is not None else ""
-        raise KeymintError(
-            f"the validity is empty: {_period(validity_within(validity, None))}{beyond}",
-            where=where,
-            help="change its dates, or renew the issuer",
-            code="validity-empty",
-        )
+        message = f"the validity is empty: {_period(validity_within(validity, None))}{beyond}"
+        raise KeymintError(message, where=where, help="change its dates, or renew the issuer", code="validity-empty")
     return clamped
 
 
@@ -253,12 +241,9 @@ def _check_issuer(issuer: x509.Certificate, where: Origin, *, authority: bool) -
     if authority and constraints is not None and constraints.path_length == 0:
         problem = problem or "it has pathlen:0, so it may not issue authorities"
     if problem:
-        raise KeymintError(
-            f"the issuer {to_text(issuer.subject)!r} cannot issue it: {problem}",
-            where=where,
-            help="name another issuer, or change the extensions of this one",
-            code="issuer-invalid",
-        )
+        message = f"the issuer {to_text(issuer.subject)!r} cannot issue it: {problem}"
+        help_ = "name another issuer, or change the extensions of this one"
+        raise KeymintError(message, where=where, help=help_, code="issuer-invalid")
 
 
 def _extensions(spec: CertificateSpec, context: extensions.Context, *, authority: bool) -> _Values:
@@ -277,12 +262,9 @@ def _extensions(spec: CertificateSpec, context: extensions.Context, *, authority
         else:
             values[oid] = (critical, value)
         if problem := _conflict(value, critical, authority=authority):
-            raise KeymintError(
-                f"{extension.name} = {quote(extension.value, 80)} {problem}",
-                where=extension.origin,
-                help="leave it out, or correct it" if authority else "leave it out for the default",
-                code="extension-conflict",
-            )
+            message = f"{extension.name} = {quote(extension.value, 80)} {problem}"
+            help_ = "leave it out, or correct it" if authority else "leave it out for the default"
+            raise KeymintError(message, where=extension.origin, help=help_, code="extension-conflict")
     return values
 
 

@@ -133,12 +133,9 @@ def load_first(pem: bytes, where: Origin | None = None, *, with_lists: bool = Fa
         problem = "is not exactly the encoding of its certificate"
     else:
         return bundle[0]
-    raise KeymintError(
-        f"the certificate of the authority {problem}",
-        where=where,
-        help="install it again, or rewrite it: openssl x509 -in FILE -out FILE",
-        code="certificate-ambiguous",
-    )
+    message = f"the certificate of the authority {problem}"
+    help_ = "install it again, or rewrite it: openssl x509 -in FILE -out FILE"
+    raise KeymintError(message, where=where, help=help_, code="certificate-ambiguous")
 
 
 @functools.lru_cache(maxsize=1 << 10)
@@ -162,12 +159,8 @@ def public_key(certificate: x509.Certificate, where: Origin | None = None) -> ke
     """
     key = certificate.public_key()
     if not isinstance(key, keys.PublicKey):
-        raise KeymintError(
-            "certifies neither an EC nor an RSA key",
-            where=where,
-            help=RESTORE,
-            code="certificate-invalid",
-        )
+        message = "certifies neither an EC nor an RSA key"
+        raise KeymintError(message, where=where, help=RESTORE, code="certificate-invalid")
     return key
 
 
@@ -355,9 +348,5 @@ def can_sign_documents(certificate: x509.Certificate, where: Origin | None = Non
         problem, help_ = "extendedKeyUsage lacks emailProtection", "leave extendedKeyUsage out"
     else:
         return None
-    return Diagnostic.error(
-        "authority-cannot-sign",
-        f"the certificate of {to_text(certificate.subject)!r} cannot sign documents: its {problem}",
-        where,
-        help_,
-    )
+    message = f"the certificate of {to_text(certificate.subject)!r} cannot sign documents: its {problem}"
+    return Diagnostic.error("authority-cannot-sign", message, where, help_)

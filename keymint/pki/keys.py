@@ -79,12 +79,8 @@ def curve_name(text: str, where: Origin | None = None) -> str:
     name = _CURVE_ALIASES.get(plain, plain)
     if name in CURVES:
         return name
-    raise KeymintError(
-        f"{text!r} is not a supported curve",
-        where=where,
-        help=did_you_mean(plain, CURVES, f"known are {', '.join(CURVES)}"),
-        code="key-type-unknown",
-    )
+    help_ = did_you_mean(plain, CURVES, f"known are {', '.join(CURVES)}")
+    raise KeymintError(f"{text!r} is not a supported curve", where=where, help=help_, code="key-type-unknown")
 
 
 def generate(spec: KeySpec, where: Origin | None = None) -> PrivateKey:
@@ -166,12 +162,9 @@ def from_pem(pem: bytes, password: bytes | None = None, where: Origin | None = N
     """
     encrypted = is_encrypted(pem)
     if encrypted and not password:
-        raise KeymintError(
-            "the private key is encrypted and no password is given",
-            where=where,
-            help="set the environment variable that password_env names",
-            code="key-password",
-        )
+        message = "the private key is encrypted and no password is given"
+        help_ = "set the environment variable that password_env names"
+        raise KeymintError(message, where=where, help=help_, code="key-password")
     try:
         # The library rejects a password for an unencrypted key; for the user that is not an error.
         key = serialization.load_pem_private_key(pem, password if encrypted else None)
@@ -275,19 +268,12 @@ def _curve(spec: KeySpec, where: Origin | None) -> ec.EllipticCurve | None:
     if algorithm == "ec":
         return CURVES[curve_name(spec.curve, where)]
     if algorithm != "rsa":
-        raise KeymintError(
-            f"{spec.algorithm!r} is not a supported key algorithm",
-            where=where,
-            help="known are ec (with a curve) and rsa (with a size)",
-            code="key-type-unknown",
-        )
+        message = f"{spec.algorithm!r} is not a supported key algorithm"
+        help_ = "known are ec (with a curve) and rsa (with a size)"
+        raise KeymintError(message, where=where, help=help_, code="key-type-unknown")
     if not MIN_RSA_BITS <= spec.size <= MAX_RSA_BITS:
-        raise KeymintError(
-            f"an RSA key of {spec.size} bits is not between {MIN_RSA_BITS} and {MAX_RSA_BITS}",
-            where=where,
-            help="2048 is what every transport accepts",
-            code="key-type-unknown",
-        )
+        message = f"an RSA key of {spec.size} bits is not between {MIN_RSA_BITS} and {MAX_RSA_BITS}"
+        raise KeymintError(message, where=where, help="2048 is what every transport accepts", code="key-type-unknown")
     return None
 
 
@@ -309,12 +295,9 @@ def public_from_pem(pem: bytes, where: Origin | None = None) -> PublicKey:
     except (ValueError, TypeError, UnsupportedAlgorithm):
         key = None
     if not isinstance(key, PublicKey):
-        raise KeymintError(
-            "not an EC or RSA public key in PEM (SubjectPublicKeyInfo), or a damaged one",
-            where=where,
-            help="restore it from version control, or sign a new request of the machine that has the private key",
-            code="public-key-invalid",
-        )
+        message = "not an EC or RSA public key in PEM (SubjectPublicKeyInfo), or a damaged one"
+        help_ = "restore it from version control, or sign a new request of the machine that has the private key"
+        raise KeymintError(message, where=where, help=help_, code="public-key-invalid")
     return key
 
 

@@ -214,18 +214,12 @@ def _read(signed: bytes, ca_pem: bytes, at: datetime | None) -> SignedDocument:
         return document
     signature = _parsed(document, _NAMELESS)
     if signature.certificate != cms.identity_of(authority)[0]:
-        raise KeymintError(
-            "signed by another certificate than the authority's",
-            help="'keymint install' signs it again",
-            code="smime-signer",
-        )
+        message = "signed by another certificate than the authority's"
+        raise KeymintError(message, help="'keymint install' signs it again", code="smime-signer")
     examine.require_signer(authority, at)
     if not cms.verify(signature, text, authority):
-        raise KeymintError(
-            "the signature is invalid: the document or its signature was altered",
-            help="'keymint install' signs it again",
-            code="smime-altered",
-        )
+        message = "the signature is invalid: the document or its signature was altered"
+        raise KeymintError(message, help="'keymint install' signs it again", code="smime-altered")
     cms.remember(document.signature, signature, text, authority)
     return document
 
@@ -381,12 +375,8 @@ def refuse(where: Origin | None, line: int, problem: str) -> NoReturn:
         problem: what is wrong, and what was expected.
     """
     place = Origin(where.file, line) if where is not None and line else where
-    raise KeymintError(
-        f"is malformed or ambiguous S/MIME: {problem}",
-        where=place,
-        help="'keymint install' signs it again",
-        code=UNREAD,
-    )
+    message = f"is malformed or ambiguous S/MIME: {problem}"
+    raise KeymintError(message, where=place, help="'keymint install' signs it again", code=UNREAD)
 
 
 def _require(texts: Sequence[bytes], expected: Iterable[tuple[int, bytes]], where: Origin | None) -> None:

@@ -128,12 +128,9 @@ class _PackageLoader:
             name, element = _read_identity(content, file)
             own = element.in_file(file)
             if not manifest.is_name_of(name, self.name):
-                raise KeymintError(
-                    f"the identity is named {name!r}, but the package {self.name!r}",
-                    where=own.origin,
-                    help="give it the name of the package, or none",
-                    code="name-mismatch",
-                )
+                message = f"the identity is named {name!r}, but the package {self.name!r}"
+                help_ = "give it the name of the package, or none"
+                raise KeymintError(message, where=own.origin, help=help_, code="name-mismatch")
         spec, named_at = certificate.complete(own, defaults, self.values)
         if part.issuer and own.issuer is None:
             spec, named_at = replace(spec, issuer=part.issuer), self.place(part)
@@ -206,12 +203,9 @@ def load(
     package_manifest = manifest.read(file_in(files, MARKER, Origin(folder), "package"), file)
     if not manifest.is_name_of(package_manifest.name, name):
         last = name.rpartition("/")[2]
-        raise KeymintError(
-            f"the package is named {package_manifest.name!r}, but its folder {name!r}",
-            where=Origin(file, package_manifest.name_line),
-            help=f"write <name>{last}</name> or leave it out, or move the folder",
-            code="name-mismatch",
-        )
+        message = f"the package is named {package_manifest.name!r}, but its folder {name!r}"
+        help_ = f"write <name>{last}</name> or leave it out, or move the folder"
+        raise KeymintError(message, where=Origin(file, package_manifest.name_line), help=help_, code="name-mismatch")
     subject = subject_of(name)
     plugins = {each: build_types(each, Origin(file)) for each in package_manifest.build_types}
     defects = Defects()
