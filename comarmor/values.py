@@ -9,11 +9,11 @@ the other methods are functions over the values of the fields.
 from __future__ import annotations
 
 import dataclasses
+import operator
 import sys
 from collections.abc import Callable
 from dataclasses import MISSING, Field, field
 from functools import partial
-from operator import attrgetter
 from types import MemberDescriptorType
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -39,14 +39,8 @@ _NOT_COPIED = {"__dict__", "__weakref__"}
 def _made(given: type, *, frozen: bool = False, slots: bool = False, eq: bool = True, order: bool = False) -> Any:
     declared = {name: each for name, each in given.__annotations__.items() if "ClassVar" not in str(each)}
     own = {name: each for name, each in vars(given).items() if name not in declared and name not in _NOT_COPIED}
-    new: dict[str, Any] = {
-        **_ANY,
-        **(_EQUAL if eq else {}),
-        **(_ORDERED if order else {}),
-        **(_FROZEN if frozen else {}),
-    }
-    if eq and not frozen:
-        new["__hash__"] = None
+    chosen = ((_ANY, True), (_EQUAL, eq), ({"__hash__": None}, eq and not frozen), (_ORDERED, order), (_FROZEN, frozen))
+    new: dict[str, Any] = {name: each for some, is_chosen in chosen if is_chosen for name, each in some.items()}
     # A class that defines __eq__ has a __hash__ of None.
     new |= {name: each for name, each in own.items() if each is not None or name not in new}
     new[_DECLARED] = {name: (each, vars(given).get(name, MISSING)) for name, each in declared.items()}
@@ -101,14 +95,18 @@ def _known_fields(cls: type) -> dict[str, Field[Any]]:
     return {each.name: each for each in found}
 
 
+def _parameters(cls: type) -> tuple[str, ...]:
+    """Return the names of the arguments of ``__init__``."""
+    return tuple(name for name, each in _declared(cls).items() if not isinstance(each, Field) or each.init)
+
+
 def _first_init(cls: Any) -> Callable[..., None]:
     """Return a method that sets the fields of the first objects one by one, and then generates a quicker one.
 
     A run makes few objects of most classes, and generating a method costs as much as fifty of them.
     """
-    declared = _declared(cls)
+    declared, parameters = _declared(cls), _parameters(cls)
     described = {name: each for name, each in declared.items() if isinstance(each, Field)}
-    parameters = [name for name in declared if name not in described or described[name].init]
     left = _FEW
 
     def __init__(self: Any, /, *arguments: Any, **named: Any) -> None:  # noqa: N807
@@ -171,38 +169,29 @@ def _init(cls: Any) -> Callable[..., None]:
     init: Callable[..., None] = made["make"](**known)
     init.__qualname__ = f"{cls.__qualname__}.__init__"
     types = _declared(cls, 0)
-    init.__annotations__ = {name: types[name] for name, each in fields.items() if each.init}
+    init.__annotations__ = {name: types[name] for name in _parameters(cls)}
     return init
 
 
-def _compared(cls: type, counts: Callable[[Field[Any]], bool] = attrgetter("compare")) -> Callable[[Any], Any]:
+def _compared(cls: type, counts: Callable[[Field[Any]], bool] = operator.attrgetter("compare")) -> Callable[[Any], Any]:
     """Return a function that returns the values of the fields that count, as a tuple if there are several."""
     names = [name for name, each in _declared(cls).items() if not isinstance(each, Field) or counts(each)]
-    return attrgetter(*names) if names else lambda _self: ()
+    return operator.attrgetter(*names) if names else lambda _self: ()
 
 
-def _equal(cls: type) -> Callable[[Any, object], bool]:
-    values = _compared(cls)
-    return lambda self, other: values(self) == values(other) if other.__class__ is self.__class__ else NotImplemented
+def _comparing(compare: Callable[[Any, Any], Any]) -> Callable[[type], Callable[[Any, object], Any]]:
+    """Return what makes the method of a class that compares the values of two objects."""
 
+    def make(cls: type) -> Callable[[Any, object], Any]:
+        values = _compared(cls)
+        return lambda self, other: compare(values(self), values(other)) if type(other) is type(self) else NotImplemented
 
-def _less(cls: type) -> Callable[[Any, object], bool]:
-    values = _compared(cls)
-    return lambda self, other: values(self) < values(other) if other.__class__ is self.__class__ else NotImplemented
-
-
-def _less_or_equal(cls: type) -> Callable[[Any, object], bool]:
-    values = _compared(cls)
-    return lambda self, other: values(self) <= values(other) if other.__class__ is self.__class__ else NotImplemented
+    return make
 
 
 def _hash(cls: type) -> Callable[[Any], int]:
     values = _compared(cls, lambda each: each.compare if each.hash is None else each.hash)
     return lambda self: hash(values(self))
-
-
-def _matched(cls: type) -> tuple[str, ...]:
-    return tuple(name for name, each in _declared(cls).items() if not isinstance(each, Field) or each.init)
 
 
 def _repr(self: Any) -> str:
@@ -228,8 +217,8 @@ def _made_later(**makers: Callable[[Any], Any]) -> dict[str, Any]:
     return {f"__{name}__": _AtFirstUse(f"__{name}__", make) for name, make in makers.items()}
 
 
-_ANY = {"__repr__": _repr} | _made_later(init=_first_init, match_args=_matched, dataclass_fields=_known_fields)
-_EQUAL = _made_later(eq=_equal, hash=_hash)
-_ORDERED = _made_later(lt=_less, le=_less_or_equal)  # Python asks the other operand for > and >=
+_ANY = {"__repr__": _repr} | _made_later(init=_first_init, match_args=_parameters, dataclass_fields=_known_fields)
+_EQUAL = _made_later(eq=_comparing(operator.eq), hash=_hash)
+_ORDERED = _made_later(lt=_comparing(operator.lt), le=_comparing(operator.le))  # Python asks the other one for > and >=
 _FROZEN = {"__setattr__": _refuse, "__delattr__": _refuse, "__getstate__": _state, "__setstate__": _set_state}
 """What a class gets, by the options of its decorator."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Mapping
-from importlib import resources
+from pathlib import Path
 from typing import Any
 
 import click
@@ -46,7 +46,7 @@ def foreign_words(group: str) -> Mapping[str, str]:
     """Return the words that other tools have for what a group of verbs does, with the verb that does it."""
     import tomllib  # noqa: PLC0415 - only a wrong verb needs it
 
-    content = resources.files(__package__).joinpath("foreign_words.toml").read_text(encoding="utf-8")
+    content = Path(__file__).with_name("foreign_words.toml").read_text(encoding="utf-8")
     return {
         word: verb
         for verb, words in tomllib.loads(content).get(group.replace(" ", "-"), {}).items()
