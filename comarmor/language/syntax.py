@@ -96,7 +96,7 @@ class Inclusion:
         for rule in self.rules:
             at = rule.where
             chain = chains.get(id(at.chain)) or chains.setdefault(id(at.chain), (*at.chain, *self.chain))
-            yield rule.for_parts(namespace, name, Origin(at.file, at.line, chain, at.column, at.source))
+            yield rule.for_parts(namespace, name, at.with_chain(chain))
 
     def placed(self) -> Iterator[ProfileRule]:
         """Yield the rules with all places that include them."""

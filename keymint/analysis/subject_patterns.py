@@ -146,7 +146,7 @@ def pattern_examples(policy: LoadedPolicy, given_up: list[str] | None = None) ->
             given_up.append(f"the profiles around {profile.name!r} overlap in too many ways")
     examples: dict[str, str] = {}
     taken = set(policy.subjects())
-    depends = any(clause.expand("/a/", "a") != clause.expand("/b/", "b") for clause in written.clauses)
+    depends = bool(wild) and any(clause.expand("/a/", "a") != clause.expand("/b/", "b") for clause in written.clauses)
     for pattern in _with_overlaps(tuple(wild), given_up):
         example = example_subject(pattern)
         for subject in (example, _deeper(pattern, example) if depends and example else None):

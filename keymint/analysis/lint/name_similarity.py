@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import lru_cache
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.patterns.glob import Glob, literal, parse
@@ -151,9 +152,9 @@ class CandidateNames:
         self._by_numbers: dict[tuple[str, tuple[str, ...]], list[str]] = defaultdict(list)
         for name in names:
             if len(name) >= _SHORTEST:
-                words = _DIGITS.sub("", name)
+                words, numbers = _parted(name)
                 self._by_words[words].append(name)
-                self._by_numbers[words, tuple(_DIGITS.findall(name))].append(name)
+                self._by_numbers[words, numbers].append(name)
         trie = NameTrie(self._by_words)
         # Names of a fleet differ in numbers only, so most have the same words.
         self._near = step_counting_cache(lambda words, most: tuple(trie.near(words, most)))
@@ -168,9 +169,9 @@ class CandidateNames:
             most: the number of edits.
             given_up: receives the name if there are too many similar names.
         """
-        if len(name) < _SHORTEST:
+        if len(name) < _SHORTEST or not self._by_words:
             return None
-        words, numbers = _DIGITS.sub("", name), tuple(_DIGITS.findall(name))
+        words, numbers = _parted(name)
         best = (0.0, "")
         try:
             with step_limit(STEPS + 1):  # one is for the look at what is known
@@ -185,6 +186,12 @@ class CandidateNames:
             given_up.append(name)
             return None
         return best[1] or None
+
+
+@lru_cache(1 << 16)
+def _parted(name: str) -> tuple[str, tuple[str, ...]]:
+    """Return a name without its numbers, and these."""
+    return _DIGITS.sub("", name), tuple(_DIGITS.findall(name))
 
 
 def _is_slip(one: str, other: str) -> bool:
