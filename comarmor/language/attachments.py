@@ -84,21 +84,17 @@ def parse(text: str) -> tuple[Piece | TunableReference, ...]:
             placeholder = braces[0]
             if placeholder not in tuple(Placeholder):
                 near = "{namespace}" if placeholder == "{ns}" else placeholder
-                raise ComArmorError(
-                    f"{quote(placeholder)} is unknown, expected {{name}}, {{namespace}} or @{{TUNABLE}}",
-                    help=did_you_mean(near, Placeholder, "for the character itself write \\{ or \\}"),
-                    code="brace",
-                )
+                message = f"{quote(placeholder)} is unknown, expected {{name}}, {{namespace}} or @{{TUNABLE}}"
+                help_ = did_you_mean(near, Placeholder, "for the character itself write \\{ or \\}")
+                raise ComArmorError(message, help=help_, code="brace")
             pieces.append(Placeholder(placeholder))
             at += len(placeholder)
         else:
             token, end = next_token(text, at, COMARMOR)
             if isinstance(token, Bracket) and _BARE_BRACE.search(text, at, end):
-                raise ComArmorError(
-                    f"a brace inside the bracket expression {quote(text[at:end])}",
-                    help="write \\{ or \\} for a brace, or \\[ for a literal '['",
-                    code="brace",
-                )
+                message = f"a brace inside the bracket expression {quote(text[at:end])}"
+                help_ = "write \\{ or \\} for a brace, or \\[ for a literal '['"
+                raise ComArmorError(message, help=help_, code="brace")
             _add(pieces, canonical((token,)))
             at = end
     return tuple(pieces)

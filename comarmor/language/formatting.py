@@ -104,12 +104,9 @@ def canonical_form(content: bytes, name: str) -> bytes | None:
     again = nodes(result)
     comments, comments_again = ([each.source.split() for each in markup(which)] for which in (document, again))
     if _meaning(root) != _meaning(parse(result, name)) or comments != comments_again:
-        raise ComArmorError(
-            "the canonical form would not mean the same",
-            where=Origin(name),
-            help="this is a defect of the formatter; please report it with this file",
-            code="format-meaning",
-        )
+        message = "the canonical form would not mean the same"
+        help_ = "this is a defect of the formatter; please report it with this file"
+        raise ComArmorError(message, where=Origin(name), help=help_, code="format-meaning")
     return result
 
 

@@ -313,11 +313,8 @@ class Policy:
 
 def _require(what: str, name: str, known: Collection[str], owner: str = "") -> None:
     if name not in known:
-        raise ComArmorError(
-            f"unknown {what} {quote(name)}{owner}, expected one of {', '.join(known)}",
-            help=did_you_mean(name, known),
-            code=f"unknown-{what}",
-        )
+        message = f"unknown {what} {quote(name)}{owner}, expected one of {', '.join(known)}"
+        raise ComArmorError(message, help=did_you_mean(name, known), code=f"unknown-{what}")
 
 
 def _digest(texts: Iterable[str]) -> str:

@@ -45,12 +45,8 @@ def href_of(element: etree._Element, where: Origin, known: tuple[str, ...] = ("h
     for attribute in map(str, element.attrib):
         if attribute not in known:
             expected = f"{', '.join(known[:-1])} and {known[-1]}"
-            raise ComArmorError(
-                f"xi:include has the attribute {quote(attribute)}, expected only {expected}",
-                where=where,
-                help=did_you_mean(attribute, known),
-                code="schema",
-            )
+            message = f"xi:include has the attribute {quote(attribute)}, expected only {expected}"
+            raise ComArmorError(message, where=where, help=did_you_mean(attribute, known), code="schema")
     if element.get("parse", "xml") != "xml":
         message, help_ = 'xi:include can only have parse="xml"', 'write parse="xml", or leave it out'
         raise ComArmorError(message, where=where, help=help_, code="include-parse")

@@ -64,12 +64,9 @@ def load_tree(
             folder = SandboxedFolder(real.parent, str(real.parent if path.is_symlink() else path.parent))
             roots = [real.name]
     if not roots:
-        raise ComArmorError(
-            "the policy directory has no *.xml file",
-            where=Origin(shown),
-            help="put the policy's root files directly into it; files in sub-folders are only reached by includes",
-            code="policy-empty",
-        )
+        message = "the policy directory has no *.xml file"
+        help_ = "put the policy's root files directly into it; files in sub-folders are only reached by includes"
+        raise ComArmorError(message, where=Origin(shown), help=help_, code="policy-empty")
     fallback = (
         SandboxedFolder(library.resolve(), str(library_shown or library)) if library and library.is_dir() else None
     )
@@ -194,12 +191,9 @@ class _PolicyReader:
         if real in self.files:
             self.seen[folder.place(relative)] = self.files[real]
         if real in self.open:
-            raise ComArmorError(
-                f"{quote(folder.name(relative), 200)} includes itself",
-                where=where,
-                help="remove one of the includes of the loop",
-                code="include-loop",
-            )
+            message = f"{quote(folder.name(relative), 200)} includes itself"
+            help_ = "remove one of the includes of the loop"
+            raise ComArmorError(message, where=where, help=help_, code="include-loop")
         named = folder.real / relative
         if folder.package:  # a copy of the package has no links, but each name
             key = folder.package, relative
@@ -296,11 +290,8 @@ class _PolicyReader:
     def package(self, name: str, where: Origin) -> SandboxedFolder:
         """Return the folder of the files that a package ships."""
         if self.packages is None:
-            raise ComArmorError(
-                f"the package {quote(name)} cannot be looked up here, so none of its files can be included",
-                where=where,
-                code="package-unavailable",
-            )
+            message = f"the package {quote(name)} cannot be looked up here, so none of its files can be included"
+            raise ComArmorError(message, where=where, code="package-unavailable")
         folder = self.packages.folder(name, where)
         for path in self.packages.looked_at(name):
             self.seen[path] = fingerprint(path)
@@ -315,12 +306,8 @@ class _PolicyReader:
             places.append(self.library.name(from_root))
             near = near or self.library.similar_file(from_root)
         looked = f"looked for {' and '.join(quote(each, 200) for each in dict.fromkeys(places))}"
-        return ComArmorError(
-            f"the included file {quote(href, 200)} does not exist",
-            where=where,
-            help=f"{looked}; {near}" if near else looked,
-            code="include-missing",
-        )
+        message = f"the included file {quote(href, 200)} does not exist"
+        return ComArmorError(message, where=where, help=f"{looked}; {near}" if near else looked, code="include-missing")
 
     def read(self, folder: SandboxedFolder, real: Path, where: Origin) -> bytes:
         """Return the bytes of a file, and record their digest."""

@@ -106,22 +106,15 @@ class InstalledPackages:
             is_folder = real.is_dir()
         follows = self.trusted is None or package in self.trusted
         if not follows and not real.is_relative_to(expected):
-            raise ComArmorError(
-                f"a symbolic link leads out of the package {quote(package)}, at or above {shown}",
-                where=where,
-                help=FOLLOW_LINKS,
-                code="include-outside",
-            )
+            message = f"a symbolic link leads out of the package {quote(package)}, at or above {shown}"
+            raise ComArmorError(message, where=where, help=FOLLOW_LINKS, code="include-outside")
         if not is_folder:
             later = self.prefixes[self.prefixes.index(prefix) + 1 :]
             other = next((each for each in later if package in _names(each)), "")
             hides = f"'{path_text(other)}' has some, but '{path_text(prefix)}' comes first in {SEARCH_PATH}"
-            raise ComArmorError(
-                f"the package {quote(package)} ships no profiles: there is no folder {shown}",
-                where=where,
-                help=hides if other else "'keymint plugins' lists the packages that do",
-                code="package-without-profiles",
-            )
+            message = f"the package {quote(package)} ships no profiles: there is no folder {shown}"
+            help_ = hides if other else "'keymint plugins' lists the packages that do"
+            raise ComArmorError(message, where=where, help=help_, code="package-without-profiles")
         return SandboxedFolder(real, f"{PACKAGE}{package}", package, place, trusts_links=follows)
 
     def looked_at(self, package: str) -> tuple[Path, ...]:
@@ -151,12 +144,9 @@ class InstalledPackages:
     def _prefix(self, package: str, where: Origin) -> str:
         for prefix in self.prefixes:
             if not prefix.startswith("/"):
-                raise ComArmorError(
-                    f"{SEARCH_PATH} has the relative path {quote(prefix, 200)}, expected absolute ones only",
-                    where=where,
-                    help="what a package ships must not depend on the current folder; the setup files of ROS 2 comply",
-                    code="package-prefix",
-                )
+                message = f"{SEARCH_PATH} has the relative path {quote(prefix, 200)}, expected absolute ones only"
+                help_ = "what a package ships must not depend on the current folder; the setup files of ROS 2 comply"
+                raise ComArmorError(message, where=where, help=help_, code="package-prefix")
             for kind, mark in _marks(prefix, package):
                 # That it cannot be told must not mean that a later prefix is taken.
                 with file_errors(f"'{path_text(str(mark))}'", where):
@@ -167,12 +157,8 @@ class InstalledPackages:
         advice = f"source the setup file of the workspace that has it; {SEARCH_PATH} lists {prefixes}"
         if not self.prefixes:
             advice = f"{SEARCH_PATH} is not set: source the setup file of your ROS 2 workspace"
-        raise ComArmorError(
-            f"the package {quote(package)} is not installed",
-            where=where,
-            help=did_you_mean(package, known, advice),
-            code="package-unknown",
-        )
+        message = f"the package {quote(package)} is not installed"
+        raise ComArmorError(message, where=where, help=did_you_mean(package, known, advice), code="package-unknown")
 
 
 PackageFolders = CopiedPackages | InstalledPackages

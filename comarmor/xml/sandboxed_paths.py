@@ -63,12 +63,9 @@ class SandboxedFolder:
             real = (self.real / relative).resolve()
         if outside or not (self.trusts_links or real.is_relative_to(self.real)):
             copy = "copy the file into the folder, and include the copy"
-            raise ComArmorError(
-                f"{quote(relative, 200)} is outside of the policy's folder {quote(path_text(self.shown), 200)}",
-                where=where,
-                help=FOLLOW_LINKS if self.package and not outside else copy,
-                code="include-outside",
-            )
+            message = f"{quote(relative, 200)} is outside of the policy's folder {quote(path_text(self.shown), 200)}"
+            help_ = FOLLOW_LINKS if self.package and not outside else copy
+            raise ComArmorError(message, where=where, help=help_, code="include-outside")
         return real
 
     def read(self, real: Path, size: int, where: Origin) -> bytes:
@@ -186,19 +183,13 @@ def package_path(href: str, where: Origin) -> tuple[str, str] | None:
         return None
     package, _, rest = href.removeprefix(PACKAGE).partition("/")
     if not is_package_name(package):
-        raise ComArmorError(
-            f"{quote(package)} is not the name of a package",
-            where=where,
-            help="write package://PACKAGE/FILE.xml; a name has letters, digits, '_' and '-', a letter or digit first",
-            code="include-href",
-        )
+        message = f"{quote(package)} is not the name of a package"
+        help_ = "write package://PACKAGE/FILE.xml; a name has letters, digits, '_' and '-', a letter or digit first"
+        raise ComArmorError(message, where=where, help=help_, code="include-href")
     if not rest:
-        raise ComArmorError(
-            f"the href {quote(href)} of xi:include names no file",
-            where=where,
-            help=f"write {PACKAGE}{package}/FILE.xml; 'keymint plugins' lists the files that packages ship",
-            code="include-href",
-        )
+        message = f"the href {quote(href)} of xi:include names no file"
+        help_ = f"write {PACKAGE}{package}/FILE.xml; 'keymint plugins' lists the files that packages ship"
+        raise ComArmorError(message, where=where, help=help_, code="include-href")
     return package, checked_path(path_of(rest, where), where)
 
 
@@ -216,19 +207,13 @@ def checked_path(path: str, where: Origin) -> str:
     """
     normal = posixpath.normpath(path)
     if normal.split("/", 1)[0] == "..":
-        raise ComArmorError(
-            f"the path {quote(path, 200)} leads out of the package's folder of profiles",
-            where=where,
-            help="a package ships its profiles in share/PACKAGE/keymint/comarmor.d; name a file below it",
-            code="include-outside",
-        )
+        message = f"the path {quote(path, 200)} leads out of the package's folder of profiles"
+        help_ = "a package ships its profiles in share/PACKAGE/keymint/comarmor.d; name a file below it"
+        raise ComArmorError(message, where=where, help=help_, code="include-outside")
     if not all(map(_SEGMENT.fullmatch, normal.split("/"))) or not normal.endswith(".xml"):
-        raise ComArmorError(
-            f"the path {quote(path, 200)} of a package's file is not plain",
-            where=where,
-            help="expected a path that ends in .xml, of letters, digits, '_', '.', '+' and '-', without hidden parts",
-            code="include-href",
-        )
+        message = f"the path {quote(path, 200)} of a package's file is not plain"
+        help_ = "expected a path that ends in .xml, of letters, digits, '_', '.', '+' and '-', without hidden parts"
+        raise ComArmorError(message, where=where, help=help_, code="include-href")
     return normal
 
 
@@ -252,10 +237,7 @@ def path_of(href: str, where: Origin) -> str:
             f"the href {quote(href)} of xi:include is not a relative path of a file", where=where, code="include-href"
         )
     if posixpath.isabs(path):
-        raise ComArmorError(
-            f"xi:include of the absolute path {quote(path)}, expected one relative to the including file",
-            where=where,
-            help="copy the file into the policy's folder, and include the copy",
-            code="include-outside",
-        )
+        message = f"xi:include of the absolute path {quote(path)}, expected one relative to the including file"
+        help_ = "copy the file into the policy's folder, and include the copy"
+        raise ComArmorError(message, where=where, help=help_, code="include-outside")
     return path

@@ -244,10 +244,8 @@ class _Parser:
                 comments.clear()
             comments += child.closing
         if not enclaves:
-            raise ComArmorError(
-                "the policy has no enclave", where=root.where, code="policy-empty",
-                help=f"expected <{inner}> with <{'enclave' if version == NEW else 'profile'}> in it",
-            )  # fmt: skip
+            help_ = f"expected <{inner}> with <{'enclave' if version == NEW else 'profile'}> in it"
+            raise ComArmorError("the policy has no enclave", where=root.where, code="policy-empty", help=help_)
         closing = (*comments, *root.closing)
         return SourcePolicy(version, tuple(enclaves), self.seen, tuple(self.lost), closing)
 

@@ -56,10 +56,8 @@ def load(sources: Sequence[PolicySource], *_of_includes: object) -> ComArmorPoli
         findings += (each for each in _notes(policy) if each.severity is Severity.WARNING)
         for enclave in policy.enclaves:
             if enclave.path in profiles:
-                raise ComArmorError(
-                    f"the enclave {enclave.path} is also at {profiles[enclave.path].where}", where=enclave.where,
-                    help="write one <enclave>", code="sros2-path-twice",
-                )  # fmt: skip
+                message = f"the enclave {enclave.path} is also at {profiles[enclave.path].where}"
+                raise ComArmorError(message, where=enclave.where, help="write one <enclave>", code="sros2-path-twice")
             rules = (
                 ProfileRule(
                     rule.effect, rule.kind, rule.permissions,

@@ -115,16 +115,12 @@ class _PolicyMaker:
         if row.subject not in self.subjects:
             subject = self._expression("subject", row.subject, row.where)
             if subject.value:
-                raise ComArmorError(
-                    "the subject cannot contain {name} or {namespace}", where=row.where, help="use a wildcard",
-                    code="brace",
-                )  # fmt: skip
+                message = "the subject cannot contain {name} or {namespace}"
+                raise ComArmorError(message, where=row.where, help="use a wildcard", code="brace")
             name = literal(subject.text)
             if name is not None and (expected := expected_of_name(name)):
-                raise ComArmorError(
-                    f"{quote(name)} is not a legal name of a subject", where=row.where, help=expected,
-                    code="subject-name",
-                )  # fmt: skip
+                message = f"{quote(name)} is not a legal name of a subject"
+                raise ComArmorError(message, where=row.where, help=expected, code="subject-name")
             self.subjects[row.subject] = replace(subject, where=row.origin)
         return row.subject
 
@@ -206,9 +202,6 @@ def _included(inner: Origin, where: Origin) -> Origin:
 
 
 def _unknown(what: str, value: str, known: Sequence[str], where: Origin) -> ComArmorError:
-    return ComArmorError(
-        f"{quote(value)} is no {what}" if value else f"the {what} is missing",
-        where=where,
-        help=did_you_mean(value, known, f"expected {', '.join(known)}"),
-        code="table-value",
-    )
+    message = f"{quote(value)} is no {what}" if value else f"the {what} is missing"
+    help_ = did_you_mean(value, known, f"expected {', '.join(known)}")
+    return ComArmorError(message, where=where, help=help_, code="table-value")

@@ -54,19 +54,15 @@ def column_order(header: Sequence[str], where: Origin) -> tuple[int, ...]:
     """
     for at, name in enumerate(header):
         if name not in COLUMNS:
-            raise ComArmorError(
-                f"the column {quote(name)} is unknown", where=where, code="table-header",
-                help=did_you_mean(name, COLUMNS, f"known are {', '.join(COLUMNS)}"),
-            )  # fmt: skip
+            help_ = did_you_mean(name, COLUMNS, f"known are {', '.join(COLUMNS)}")
+            raise ComArmorError(f"the column {quote(name)} is unknown", where=where, code="table-header", help=help_)
         if name in header[:at]:
             raise ComArmorError(
                 f"there are two columns {quote(name)}", where=where, help="remove one of them", code="table-header"
             )
     if missing := [name for name in REQUIRED if name not in header]:
-        raise ComArmorError(
-            f"the column {missing[0]} is missing", where=where, code="table-header",
-            help=f"expected are {', '.join(REQUIRED)}, and perhaps {' and '.join(OPTIONAL)}",
-        )  # fmt: skip
+        help_ = f"expected are {', '.join(REQUIRED)}, and perhaps {' and '.join(OPTIONAL)}"
+        raise ComArmorError(f"the column {missing[0]} is missing", where=where, code="table-header", help=help_)
     return tuple(header.index(name) if name in header else -1 for name in COLUMNS)
 
 
@@ -114,10 +110,8 @@ def rows_of_csv(content: bytes, file: str) -> Iterator[TableRow | ComArmorError]
     records = _records(content, file)
     header = next(records, None)
     if header is None:
-        raise ComArmorError(
-            "the table is empty", where=Origin(file), help=f"expected the header {','.join(COLUMNS)}",
-            code="table-header",
-        )  # fmt: skip
+        help_ = f"expected the header {','.join(COLUMNS)}"
+        raise ComArmorError("the table is empty", where=Origin(file), help=help_, code="table-header")
     names = [name.strip() for name in header[1]]
     if len(names) == 1 and is_header(names[0]):
         raise ComArmorError(
