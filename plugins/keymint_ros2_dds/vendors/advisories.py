@@ -15,9 +15,9 @@ import subprocess
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 
 from comarmor.errors import Diagnostic
-from comarmor.values import dataclass
 from keymint.errors import usage_error
 
 _PACKAGES = {
@@ -28,32 +28,10 @@ _SHARES = {"fastrtps": "fastdds", "fastdds": "fastdds", "cyclonedds": "cyclonedd
 _VERSION = re.compile(r"\d+(?:\.\d+)+")
 
 
-@dataclass(frozen=True, slots=True)
-class Advisory:
-    """A vulnerability.
-
-    Attributes:
-        cve: its numbers.
-        vendor: whose.
-        fixed: the first version with the fix in each line of releases that has one.
-        everywhere: the first version from which on every line has the fix; empty if that is not known.
-        what: what it lets somebody do, or not.
-        source: where the fixed versions are from.
-        date: when it was published or, where no record was found, mended.
-    """
-
-    cve: str
-    vendor: str
-    fixed: tuple[str, ...]
-    everywhere: str
-    what: str
-    source: str
-    date: str
-
-
 _TABLE = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 AS_OF: str = _TABLE["as_of"]
-ADVISORIES = tuple(Advisory(**{**each, "fixed": tuple(each["fixed"])}) for each in _TABLE["advisory"])
+ADVISORIES = tuple(SimpleNamespace(**each) for each in _TABLE["advisory"])
+"""The rows of the table, which says what their fields are."""
 
 
 def number(version: str) -> tuple[int, ...]:
@@ -68,7 +46,7 @@ def number(version: str) -> tuple[int, ...]:
     return tuple(map(int, found[0].split(".")))
 
 
-def affects(advisory: Advisory, version: str) -> bool:
+def affects(advisory: SimpleNamespace, version: str) -> bool:
     """Tell whether a version has a vulnerability, as far as the table knows: a line without a known fix has it."""
     own = number(version)
     fixed = {number(each)[:2]: number(each) for each in advisory.fixed}
@@ -82,7 +60,7 @@ def advisories(vendor: str, version: str) -> tuple[Diagnostic, ...]:
     return tuple(_finding(each, version) for each in ADVISORIES if each.vendor == vendor and affects(each, version))
 
 
-def _finding(advisory: Advisory, version: str) -> Diagnostic:
+def _finding(advisory: SimpleNamespace, version: str) -> Diagnostic:
     since = f"{advisory.everywhere} and later" if advisory.everywhere else "of other lines the fixed version is unknown"
     fixed = ", ".join((*advisory.fixed, since))
     message = f"{advisory.vendor} {version} has {advisory.cve} ({advisory.date}): {advisory.what}; fixed in {fixed}"

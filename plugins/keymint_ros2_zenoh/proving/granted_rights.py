@@ -9,7 +9,6 @@ guessed.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from functools import lru_cache
 
 from comarmor.errors import Origin
 from comarmor.patterns import glob
@@ -19,13 +18,13 @@ from keymint.api import DomainRange, EnclaveFiles, InstalledRights
 from keymint.errors import KeymintError
 from keymint.ir import Rule
 from keymint.pki import distinguished_names
-from keymint_ros2_zenoh.decision import AccessModel, LinkAccess, first_common_name
+from keymint_ros2_zenoh.decision import LinkAccess, first_common_name
 from keymint_ros2_zenoh.documents.configuration import Flow, Message
-from keymint_ros2_zenoh.documents.configuration_reader import read
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, ROUTER
 from keymint_ros2_zenoh.examine.enclaves import router_differences
 from keymint_ros2_zenoh.keyexpr import KeyExpr, TooManyAlternativesError, canonical, includes, key_exprs
 from keymint_ros2_zenoh.lowering.permissions import ADVANCED, SLOTS
+from keymint_ros2_zenoh.proving.enclave_proof import router_access
 from keymint_ros2_zenoh.proving.policy_evaluator import KIND
 from keymint_ros2_zenoh.settings import ACCESS
 
@@ -55,7 +54,7 @@ def rights(enclave: EnclaveFiles, subject: str, built: Mapping[str, bytes] | Non
         attributes = distinguished_names.attributes(distinguished_names.parse(enclave.anchors.subject_name))
         name = next(value for kind, value in attributes if kind == "CN")
     where = Origin(f"{folder}/{ROUTER}")
-    by_domain = _names(_model(shared[ROUTER], where.file).of_certificate(name), where)
+    by_domain = _names(router_access(shared[ROUTER], where.file).of_certificate(name), where)
     names, *others = by_domain.values() or ({},)
     if any(each != names for each in others):
         raise _unsayable("its rights are not the same in all domains", where)
@@ -80,11 +79,6 @@ def _names(access: LinkAccess, where: Origin) -> dict[int, dict[tuple[Effect, st
                 own = by_domain.setdefault(int(match[1]), {}).setdefault((effect, permission), set())
                 own.add(canonical(match[2] + (match[3] or "")))
     return by_domain
-
-
-@lru_cache(maxsize=2)  # all enclaves rest on the same two files: the one before, and the one after
-def _model(content: bytes, file: str) -> AccessModel:
-    return AccessModel(read(content, file).access_control)
 
 
 def _expressions(names: Collection[KeyExpr], where: Origin) -> Collection[str]:
