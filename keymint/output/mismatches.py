@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from comarmor.errors import Diagnostic, Severity, citation
+from comarmor.errors import Diagnostic, citation
 from comarmor.text import quantity
 from keymint.api.graph import Edge, EdgeOutcome
 from keymint.ir import Rule
@@ -129,10 +129,11 @@ def sarif_results(comparisons: Sequence[EdgeComparison]) -> list[SarifResult]:
     """Return a result for each mismatch: its place is the policy's rule, the document's rule is related."""
     return [
         SarifResult(
-            str(mismatch.error),
-            Severity.ERROR,
-            mismatch_text([comparison.transport], mismatch),
-            mismatch.policy.where or mismatch.document,
+            Diagnostic.error(
+                str(mismatch.error),
+                mismatch_text([comparison.transport], mismatch),
+                mismatch.policy.where or mismatch.document,
+            ),
             [(mismatch.document, mismatch.reason or "the enclave's document")],
             {"keymintEdge/v1": f"{comparison.transport}|{request_text(mismatch.edge)}|{mismatch.edge.domain}"},
         )

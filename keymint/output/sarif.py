@@ -6,12 +6,11 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import field
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 from urllib.parse import quote
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from comarmor.values import dataclass
 from comarmor.xml.sandboxed_paths import PACKAGE
 from keymint import __version__
 from keymint.output.explanations import explanations
@@ -20,37 +19,24 @@ _SCHEMA = "https://docs.oasis-open.org/sarif/sarif/v2.1.0/errata01/os/schemas/sa
 _LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.NOTE: "note"}
 
 
-@dataclass(frozen=True, slots=True)
-class SarifResult:
+class SarifResult(NamedTuple):
     """A result object (SARIF 3.27).
 
     Attributes:
-        rule: identifier of the rule that it violates.
-        severity: its level.
-        message: one line.
-        where: its place, or None.
+        finding: what is wrong; its code is the rule that it violates.
         related: further places, each with a message; only of a result with a place.
         fingerprints: partial fingerprints (SARIF 3.27.17).
     """
 
-    rule: str
-    severity: Severity
-    message: str
-    where: Origin | None
+    finding: Diagnostic
     related: Sequence[tuple[Origin, str]] = ()
-    fingerprints: Mapping[str, str] = field(default_factory=dict)
+    fingerprints: Mapping[str, str] = MappingProxyType({})
 
 
 def of_diagnostics(diagnostics: Sequence[Diagnostic]) -> list[SarifResult]:
     """Return a result for each diagnostic; places that include it are related."""
     return [
-        SarifResult(
-            each.code,
-            each.severity,
-            f"{each.message} ({each.help})" if each.help else each.message,
-            each.where,
-            [(outer, "included from here") for outer in each.where.chain] if each.where else (),
-        )
+        SarifResult(each, [(outer, "included from here") for outer in each.where.chain] if each.where else ())
         for each in diagnostics
     ]
 
@@ -70,25 +56,26 @@ def sarif(
         default_level: level of every rule, written if given.
     """
     known = explanations()
-    described = {each.rule: known.get(each.rule, {"cause": each.message})["cause"] for each in results}
+    texts = {each: f"{each.message} ({each.help})" if each.help else each.message for each, _, _ in results}
+    described = {each.code: known.get(each.code, {"cause": text})["cause"] for each, text in texts.items()}
     level = {} if default_level is None else {"defaultConfiguration": {"level": _LEVELS[default_level]}}
     descriptors = [{"id": rule, "shortDescription": {"text": text}} | level for rule, text in described.items()]
     index = {rule: number for number, rule in enumerate(described)}
     found: list[dict[str, Any]] = []
-    for each in results:
+    for each, related, fingerprints in results:
         result: dict[str, Any] = {
-            "ruleId": each.rule,
-            "ruleIndex": index[each.rule],
+            "ruleId": each.code,
+            "ruleIndex": index[each.code],
             "level": _LEVELS[each.severity],
-            "message": {"text": each.message},
+            "message": {"text": texts[each]},
         }
         if each.where:
             result["locations"] = [_location(each.where, typed)]
             result["relatedLocations"] = [
-                {**_location(where, typed), "message": {"text": message}} for where, message in each.related
+                {**_location(where, typed), "message": {"text": message}} for where, message in related
             ]
-        if each.fingerprints:
-            result["partialFingerprints"] = dict(each.fingerprints)
+        if fingerprints:
+            result["partialFingerprints"] = dict(fingerprints)
         found.append(result)
     driver = {"name": tool, "version": __version__, "semanticVersion": __version__, "rules": descriptors}
     log = {"tool": {"driver": driver}, "columnKind": "unicodeCodePoints", "results": found}
