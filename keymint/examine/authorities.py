@@ -19,7 +19,7 @@ from pathlib import Path
 
 from cryptography import x509
 
-from comarmor.errors import Defects, Diagnostic
+from comarmor.errors import Defects, Diagnostic, Origin
 from keymint.api import ValidityTerm
 from keymint.authority import authority_files, examine
 from keymint.authority.authorities import key_copies
@@ -28,6 +28,7 @@ from keymint.errors import KeymintError
 from keymint.host.git import GIT_MISSING, run_git
 from keymint.life import terms
 from keymint.life.package_issuance import place_of
+from keymint.life.workspace_register import register_of
 from keymint.names import subject_of
 from keymint.pki import certificates, keys
 from keymint.workspace.installed_enclaves import installed_certificate
@@ -121,26 +122,32 @@ EXPOSURES = frozenset({"key-was-exposed", "key-tracked", "key-exposed", "file-mo
 
 
 def exposed_keys(session: Session) -> Iterator[Diagnostic]:
-    """Yield a warning for each private key in use that others could read before it was taken over.
+    """Yield a warning for each private key in use, or with a certificate in force, that others could read once.
 
-    The sources remember its fingerprint. A new key has another one, which ends the finding.
+    The sources remember its fingerprint. A new key has another one, but ends no certificate of the former.
     """
     workspace, trusted = session.workspace, authority_keys(session)
-    found = []
     for each in session.profile.authorities:
         if each.issuance.exposed in trusted:
             where = workspace.origin(workspace.authority_key(each.name))
-            found.append((f"the authority {each.name!r}", where, f"keymint authority replace {each.name}", ""))
+            help_ = f"'keymint authority replace {each.name}' ends it"
+            yield _exposed(f"private key of the authority {each.name!r}", where, help_)
     for name in session.packages():
         with suppress(KeymintError):  # reported with the package
-            fingerprint = session.issuance(name).exposed
-            certificate = installed_certificate(session, name) if fingerprint else None
-            if certificate and fingerprint == certificates.fingerprint(certificate):
-                subject = subject_of(name)
-                found.append((subject, place_of(session, name), f"keymint renew --rekey {name}", subject))
-    for whose, where, command, subject in found:
-        message = f"others could read the private key of {whose} before it was taken over: it counts as exposed"
-        yield Diagnostic.warning("key-was-exposed", message, where, f"'{command}' ends it", subject)
+            if fingerprint := session.issuance(name).exposed:
+                whose, ends = f"private key of {subject_of(name)}", f"'keymint revoke {name} --reason superseded'"
+                certificate = installed_certificate(session, name)
+                if certificate and fingerprint == certificates.fingerprint(certificate):
+                    help_ = f"'keymint renew --rekey {name}', then {ends}"
+                    yield _exposed(whose, place_of(session, name), help_, subject_of(name))
+                elif any(each.key == fingerprint for each in register_of(session).in_force(name, session.now)):
+                    whose = f"former {whose}, whose certificate is in force,"
+                    yield _exposed(whose, place_of(session, name), f"{ends} ends it", subject_of(name))
+
+
+def _exposed(whose: str, where: Origin, help_: str, subject: str = "") -> Diagnostic:
+    message = f"others could read the {whose} before it was taken over: it counts as exposed"
+    return Diagnostic.warning("key-was-exposed", message, where, help_, subject)
 
 
 # -- git ------------------------------------------------------------------------------------------------------------

@@ -304,6 +304,9 @@ def exposure(contents: Contents, path: str, subject: str) -> Iterator[Diagnostic
     if is_exposed(contents, path):
         mode = contents.keystore.files[path].mode
         message = f"is a private key with mode {mode:04o}: others could read it, so it counts as exposed"
-        end = f"'keymint renew --rekey {name_of(subject)}'" if subject else "'keymint authority replace'"
-        help_ = f"chmod 600, here and on the robot; {end} ends it if someone may have copied it"
+        end = "'keymint authority replace'"
+        if subject:
+            name = name_of(subject)
+            end = f"'keymint renew --rekey {name}', then 'keymint revoke {name} --reason superseded',"
+        help_ = f"chmod 600, here and on the robot; {end} if someone may have copied it"
         yield Diagnostic.warning("adopt-key-exposed", message, contents.place(path), help_)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.conftest import NOW
 from tests.keymint.commands.exchange.test_adopt import made
 
 MODES = {"private/ca.key.pem": 0o644, "enclaves/talker/key.pem": 0o640}
@@ -39,6 +40,13 @@ def exposed(keymint, ws: Path, verb: str = "check") -> list[tuple[str, str]]:
     return [(each["subject"], each["file"]) for each in found]
 
 
+def advice(keymint, ws: Path) -> str:
+    """Return the first command that the finding on an exposed key names."""
+    outcome = keymint("check", "--json", cwd=ws)
+    (help_,) = [each["help"] for each in outcome.document["diagnostics"] if each["code"] == "key-was-exposed"]
+    return help_.split("'")[1]
+
+
 def test_keys_that_nobody_else_could_read(keymint, tmp_path: Path) -> None:
     assert exposed(keymint, adopted(keymint, tmp_path, {})) == []
 
@@ -53,13 +61,25 @@ def test_they_are_remembered_without_the_record_and_in_a_copy(keymint, tmp_path:
     assert exposed(keymint, ws) == [AUTHORITY, TALKER]
 
 
-def test_a_new_key_of_an_enclave_ends_it_and_a_new_certificate_does_not(keymint, tmp_path: Path) -> None:
-    """The advice is followed."""
+def test_it_ends_with_the_certificates_of_the_key_and_not_with_new_ones(keymint, tmp_path: Path) -> None:
+    """The advice is followed: whoever copied the key has a certificate for it, and may have it for years."""
     ws = adopted(keymint, tmp_path, {"enclaves/talker/key.pem": 0o640})
+    for step in ("authority", "identifiers"):
+        assert keymint("harden", step, "--apply", "--flag-day", cwd=ws).code == 0
     assert keymint("renew", "talker", cwd=ws).code == 0
     assert exposed(keymint, ws) == [TALKER]
+    for left in ([TALKER], []):
+        words = advice(keymint, ws).split()
+        assert keymint(*words[1:], cwd=ws).code == 0, words
+        assert exposed(keymint, ws) == left
+
+
+def test_it_ends_when_the_certificates_end(keymint, tmp_path: Path) -> None:
+    ws = adopted(keymint, tmp_path, {"enclaves/talker/key.pem": 0o640})
     assert keymint("renew", "--rekey", "talker", cwd=ws).code == 0
-    assert exposed(keymint, ws) == []
+    assert "key-was-exposed" in keymint("check", "--json", cwd=ws).codes()
+    later = {"SOURCE_DATE_EPOCH": str(NOW + 4000 * 86_400)}
+    assert "key-was-exposed" not in keymint("check", "--json", cwd=ws, env=later).codes()
 
 
 @pytest.mark.parametrize("words", [("authority", "renew", "ca", "--flag-day"), ("authority", "export", "ca")])

@@ -164,7 +164,7 @@ def test_keys_that_others_could_read(keymint, keystore: Path) -> None:
     assert outcome.code == 3
     assert "ks/private/ca.key.pem: warning: is a private key with mode 0644" in outcome.err
     assert f"{TALKER}/key.pem: warning: is a private key with mode 0640" in outcome.err
-    assert "'keymint renew --rekey talker' ends it" in outcome.err
+    assert "'keymint renew --rekey talker', then 'keymint revoke talker --reason superseded', if" in outcome.err
 
 
 def _replace(path: str, content: bytes) -> Callable[[Path], None]:
