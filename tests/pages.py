@@ -300,7 +300,9 @@ def main() -> None:
         finally:
             page.write_text(rewritten(page, printed))
             for picture, drawn in drawings(page, Path(folder)):
-                shutil.copyfile(drawn, picture)
+                before = picture.read_text() if picture.exists() else ""
+                if masked(drawn.read_text(), NOW) != masked(before, NOW):
+                    shutil.copyfile(drawn, picture)
             shutil.rmtree(folder)
 
 
