@@ -19,6 +19,7 @@ from keymint.errors import KeymintError, usage_error
 from keymint.life.examine import Keyring
 from keymint.names import subject_of
 from keymint.stages.create import UNCREATED, policy_changed, subjects_without_package
+from keymint.stages.identities import is_awaited
 from keymint.stages.install import inputs_of
 from keymint.stages.pipeline import Request, conduct
 from keymint.stages.work import InstallRequest, Work
@@ -83,7 +84,8 @@ def _keys(session: Session, names: Iterable[str]) -> Iterator[Diagnostic]:
     for name in names:
         stamp = session.state.stamp(INSTALLED, name)
         if stamp and stamp.inputs != inputs_of(session, name):
-            yield from _identity_key(session, session.package(name), keyring)[1]
+            package = session.package(name)
+            yield from () if is_awaited(package) else _identity_key(session, package, keyring)[1]
 
 
 def no_packages(session: Session) -> Diagnostic:
