@@ -180,7 +180,11 @@ def sign_shared(
         artifacts = build_type.install_shared(loaded, documents, credentials, session.profile.layout, existing)
     except KeymintError as error:
         folder = documents_folder(session, record_key(name))
-        raise KeymintError.of([with_place(each, folder) for each in error.diagnostics]) from error
+        # Build types name these documents relative to the folder that has them; a key has a path of its own.
+        raise KeymintError.of(
+            with_place(each, folder) if each.where and each.where.file in documents else each
+            for each in error.diagnostics
+        ) from error
     if foreign := [path for path in artifacts if not _belongs(path, documents)]:
         raise ValueError(f"{name} installs {foreign[0]!r}, which belongs to none of its shared documents")
     return artifacts, existing

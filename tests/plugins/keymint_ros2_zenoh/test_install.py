@@ -12,6 +12,7 @@ from keymint_ros2_zenoh import build_type
 
 from keymint.api import Credentials
 from keymint.errors import KeymintError
+from tests.conftest import CHECKOUT
 
 from .enclaves import OPTIONS, authority, credentials, pem, shared, signer
 from .workspaces import LISTENER, TALKER, workspace
@@ -81,3 +82,15 @@ def test_openssl_verifies_the_signature(tmp_path: Path) -> None:
     assert not verified("other.pem")
     (tmp_path / "router.json5").write_bytes(files[ROUTER] + b"\n")
     assert not verified("ca.pem")
+
+
+def test_a_missing_key_of_the_signer_is_named_by_its_own_path(keymint, tmp_path: Path) -> None:
+    policy = CHECKOUT / "examples/talker_listener/talker_listener.xml"
+    assert keymint("provision", policy, "-w", "ws", "--transport", "zenoh").code == 0
+    (tmp_path / "ws/private/permissions_ca.key.pem").unlink()
+    defaults = tmp_path / "ws/profile/package.defaults/zenoh.xml"
+    defaults.write_text(defaults.read_text().replace("7447", "7448"))
+    assert keymint("build", "-w", "ws").code == 0
+    refused = keymint("install", "-w", "ws", "--json")
+    missing = [each["file"] for each in refused.document["diagnostics"] if each["code"] == "authority-key-missing"]
+    assert missing == ["ws/private/permissions_ca.key.pem"]
