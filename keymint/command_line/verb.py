@@ -68,7 +68,7 @@ def verb(
         common: which common options it has; see :func:`common_options`.
     """
     shared = list(common_options(**common))
-    names = {"jobs", "defaults", *(option.name for option in shared)}  # 'check' declares --jobs itself
+    names = {"defaults", *(option.name for option in shared)}
 
     def decorate(function: Verb) -> click.Command:
         own_name = name or function.__name__.removeprefix(f"{of}_")

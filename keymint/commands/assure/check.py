@@ -8,8 +8,6 @@ from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
 
-import click
-
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import did_you_mean, quantity
 from keymint.command_line.named_files import write_outputs
@@ -38,8 +36,7 @@ INSTALLED = "installed"
 vendors_option = option(is_flag=False, flag_value=INSTALLED, metavar="NAME=VERSION,...")
 
 
-@verb()
-@click.option("-j", "--jobs", type=click.IntRange(1, 256), metavar="N", help="Use N processes [all cores].")
+@verb(processes=True)
 def check(
     run: Run,
     names: Names = names_group(),
