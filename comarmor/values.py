@@ -32,13 +32,12 @@ _FEW = 50
 """Objects of a class that are made before its ``__init__`` is generated."""
 _DECLARED = "__declared__"
 """Attribute of a class with its own fields: the type of each, and its default or :func:`dataclasses.field`."""
-_NOT_COPIED = {"__dict__", "__weakref__"}
-"""Names that belong to the class before it has slots."""
 
 
 def _made(given: type, *, frozen: bool = False, slots: bool = False, eq: bool = True, order: bool = False) -> Any:
     declared = {name: each for name, each in given.__annotations__.items() if "ClassVar" not in str(each)}
-    own = {name: each for name, each in vars(given).items() if name not in declared and name not in _NOT_COPIED}
+    not_copied = {*declared, "__dict__", "__weakref__"}  # these two belong to the class without slots
+    own = {name: each for name, each in vars(given).items() if name not in not_copied}
     chosen = ((_ANY, True), (_EQUAL, eq), ({"__hash__": None}, eq and not frozen), (_ORDERED, order), (_FROZEN, frozen))
     new: dict[str, Any] = {name: each for some, is_chosen in chosen if is_chosen for name, each in some.items()}
     # A class that defines __eq__ has a __hash__ of None.
@@ -85,19 +84,10 @@ def _fields(cls: type) -> dict[str, Field[Any]]:
 
 def _known_fields(cls: type) -> dict[str, Field[Any]]:
     """Return the fields as the library knows them: by it, and with their types."""
-    body = _fields(cls)
-    # It searches texts of types for names of its own, with regular expressions, and makes a text if there is none.
-    asked = type(cls.__name__, (), {"__doc__": cls.__name__, "__annotations__": dict.fromkeys(body), **body})
-    found = dataclasses.fields(dataclasses.dataclass(init=False, repr=False, eq=False)(asked))
-    types = _declared(cls, 0)
-    for each in found:
-        each.type = types[each.name]
-    return {each.name: each for each in found}
-
-
-def _parameters(cls: type) -> tuple[str, ...]:
-    """Return the names of the arguments of ``__init__``."""
-    return tuple(name for name, each in _declared(cls).items() if not isinstance(each, Field) or each.init)
+    # Without a text about the class the library makes one, which takes long.
+    body = {"__doc__": cls.__name__, "__annotations__": _declared(cls, 0), **_fields(cls)}
+    found: Any = dataclasses.dataclass(init=False, repr=False, eq=False)(type(cls.__name__, (), body))
+    return {each.name: each for each in dataclasses.fields(found)}
 
 
 def _first_init(cls: Any) -> Callable[..., None]:
@@ -105,8 +95,9 @@ def _first_init(cls: Any) -> Callable[..., None]:
 
     A run makes few objects of most classes, and generating a method costs as much as fifty of them.
     """
-    declared, parameters = _declared(cls), _parameters(cls)
+    declared = _declared(cls)
     described = {name: each for name, each in declared.items() if isinstance(each, Field)}
+    parameters = [name for name in declared if name not in described or described[name].init]
     left = _FEW
 
     def __init__(self: Any, /, *arguments: Any, **named: Any) -> None:  # noqa: N807
@@ -168,8 +159,6 @@ def _init(cls: Any) -> Callable[..., None]:
     exec(text, vars(sys.modules[cls.__module__]), made)  # noqa: S102 - has names of fields only
     init: Callable[..., None] = made["make"](**known)
     init.__qualname__ = f"{cls.__qualname__}.__init__"
-    types = _declared(cls, 0)
-    init.__annotations__ = {name: types[name] for name in _parameters(cls)}
     return init
 
 
@@ -217,7 +206,7 @@ def _made_later(**makers: Callable[[Any], Any]) -> dict[str, Any]:
     return {f"__{name}__": _AtFirstUse(f"__{name}__", make) for name, make in makers.items()}
 
 
-_ANY = {"__repr__": _repr} | _made_later(init=_first_init, match_args=_parameters, dataclass_fields=_known_fields)
+_ANY = {"__repr__": _repr} | _made_later(init=_first_init, dataclass_fields=_known_fields)
 _EQUAL = _made_later(eq=_comparing(operator.eq), hash=_hash)
 _ORDERED = _made_later(lt=_comparing(operator.lt), le=_comparing(operator.le))  # Python asks the other one for > and >=
 _FROZEN = {"__setattr__": _refuse, "__delattr__": _refuse, "__getstate__": _state, "__setstate__": _set_state}

@@ -422,8 +422,11 @@ def _staged(
     return staged
 
 
+_Look = Callable[[], "Sight | None"]
+
+
 def remember(
-    call: Call, inputs: Inputs, plan: Plan, report: Report, sight: Sight | None, store: Store, console: Console
+    call: Call, inputs: Inputs, plan: Plan, report: Report, look: _Look, store: Store, console: Console
 ) -> None:
     """Record the answer to a command, unless something is in doubt.
 
@@ -432,12 +435,12 @@ def remember(
         inputs: the workspace before it.
         plan: what it did.
         report: what it reports.
-        sight: the files after it; None if another program may have changed some.
+        look: returns the files after it; None if another program may have changed some.
         store: the writer.
         console: where the report is shown.
     """
     expected = next_report(plan, report)
-    if expected is None or sight is None or not is_recordable(call, str(inputs.workspace.root)):
+    if expected is None or not is_recordable(call, str(inputs.workspace.root)):
         return
     # Profile, authorities and record as they are after the plan; the enclaves of a fleet would take memory.
     workspace = inputs.workspace
@@ -450,7 +453,8 @@ def remember(
     if not settled and not is_certain:
         return
     answer = Answer(*console.rendered(expected), int(expected.exit_code), settled, is_certain)
-    record_answer(call, session, sight, (), answer, store)
+    if sight := look():  # as late as possible: the clock of the file system must have moved on
+        record_answer(call, session, sight, (), answer, store)
 
 
 def record_answer(

@@ -27,7 +27,7 @@ from keymint.run.execution import RECORD, Workers, execute, open_store, record_a
 from keymint.run.run_log import log_change
 from keymint.store.changes import File, Plan, Step
 from keymint.store.journal import Journal, intent_of
-from keymint.store.store import LOCK, clock, path_lock
+from keymint.store.store import LOCK, clock, clock_now, path_lock
 from keymint.view.recorded_answers import Answer, Call, Sight, is_recordable, known_folders
 from keymint.view.stamps import MAX_RECORD, State
 from keymint.view.stamps import load as load_state
@@ -367,11 +367,15 @@ class Run:
                 visible = execute(plan, inputs, store, self.crew, advance, intent, log)
             changes = itertools.chain(guards, plan.changes(), log)
             names = ((str(each.folder), each.written, each.removed) for each in changes)
-            seen = sight.after(names, visible, clock(workspace.state))
+            written = clock_now(workspace.state)
             report = self.report(
                 self.outcome or self.result, plan.diagnostics, exit_code(plan), workspace=workspace, steps=plan.steps
             )
-            remember(self.setting.call, inputs, plan, self.presented(report), seen, store, self.console)
+
+            def look() -> Sight | None:
+                return sight.after(names, visible, clock(workspace.state, written))
+
+            remember(self.setting.call, inputs, plan, self.presented(report), look, store, self.console)
             store.end()
         return report
 

@@ -100,31 +100,33 @@ def _holder(lock: int) -> str:
     return ""
 
 
-def clock(records: Path) -> int:
+def clock(records: Path, since: int = 0) -> int:
     """Return the clock of the file system, in nanoseconds: no file that changes from now on gets an earlier time.
 
     Files that changed before have an earlier time, unless the clock ticks in steps of more than some milliseconds.
 
     Args:
         records: folder of the lock, which the caller holds; if its times cannot be set, the result is 0.
+        since: what :func:`clock_now` returned: it is enough if the files that changed before that have an earlier time.
     """
-    try:
-        before = now = _tick(records / LOCK)
-        for _ in range(10):
-            if now > before:
-                break
-            sleep(0.001)
-            now = _tick(records / LOCK)
-    except OSError:
-        return 0
+    before = now = since or clock_now(records)
+    for _ in range(10):
+        now = clock_now(records)
+        if now != before:
+            break
+        sleep(0.001)
     return now
 
 
-def _tick(file: Path) -> int:
-    """Change a file in nothing but the time of its change, and return that."""
-    status = file.stat()
-    os.utime(file, ns=(status.st_atime_ns, status.st_mtime_ns))
-    return file.stat().st_ctime_ns
+def clock_now(records: Path) -> int:
+    """Return the time that a file would get if it changed now, or 0; a file that just changed may have the same one."""
+    file = records / LOCK
+    try:
+        status = file.stat()
+        os.utime(file, ns=(status.st_atime_ns, status.st_mtime_ns))  # changes nothing but the time of the change
+        return file.stat().st_ctime_ns
+    except OSError:
+        return 0
 
 
 class Store:

@@ -376,8 +376,8 @@ def walk(folders: Iterable[str], known: Mapping[str, FolderStatus] | None = None
     """
     roots, known = list(folders), known or {}
     rows = ((folder, each.digest, each.files) for folder, each in known.items())
-    above = os.path.commonpath(roots) if known else ""
-    same = {folder for folder, is_same in zip(known, _unchanged(rows, above), strict=True) if is_same}
+    are_same = _unchanged(rows, os.path.commonpath(roots)) if known else ()
+    same = {folder for folder, is_same in zip(known, are_same, strict=True) if is_same}
     if len(same) == len(known) and all(root in known or not os.path.lexists(root) for root in roots):
         return dict(known)
     found: dict[str, FolderStatus] = {}
@@ -398,26 +398,18 @@ def _unchanged(known: Iterable[tuple[str, str, Iterable[str]]], above: str) -> I
         known: folders, each with its digest and the names of its files.
         above: a folder that most are in: the system finds what is in it sooner by a path that begins there.
     """
+    opened, start = os.open(above, getattr(os, "O_PATH", os.O_RDONLY)), f"{above}/"  # which need not be readable
     try:
-        opened, start = os.open(above, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC), f"{above}/"
-    except OSError:  # the user may not read it
-        yield from (_is_same(*each, "", None) for each in known)
-        return
-    try:
-        yield from (_is_same(*each, start, opened) for each in known)
+        for path, digest, files in known:
+            folder = path.removeprefix(start)
+            inside = f"{folder}/"
+            try:
+                of_files = [_STATUS(os.stat(inside + name, dir_fd=opened, follow_symlinks=False)) for name in files]
+                yield digest == _digest([_STATUS(os.stat(folder, dir_fd=opened)), *of_files])
+            except OSError:
+                yield False
     finally:
         os.close(opened)
-
-
-def _is_same(path: str, digest: str, files: Iterable[str], start: str, opened: int | None) -> bool:
-    """Tell whether a folder and its files have a status that is known; ``start`` is the path of an opened folder."""
-    folder = path.removeprefix(start)
-    inside = f"{folder}/"
-    try:
-        of_files = [_STATUS(os.stat(inside + name, dir_fd=opened, follow_symlinks=False)) for name in files]
-        return digest == _digest([_STATUS(os.stat(folder, dir_fd=opened)), *of_files])
-    except OSError:
-        return False
 
 
 def _digest(rows: list[tuple[int, ...]]) -> str:

@@ -15,7 +15,6 @@ from typing import Any
 import comarmor
 from comarmor.errors import Diagnostic
 from comarmor.language.policy import Ruling
-from comarmor.language.syntax import Inclusion
 from comarmor.rules import Effect
 from comarmor.values import dataclass
 from comarmor.xml.package_folders import ShippedFile
@@ -125,7 +124,17 @@ class _Clauses(Sequence[WrittenRule]):
 
     @cached_property
     def _made(self) -> tuple[WrittenRule, ...]:
-        return tuple(rule for profile, around in self._nested for rule in _written(profile, around))
+        return tuple(
+            WrittenRule(
+                (*around, _texts(profile)),
+                rule.with_expressions(attachment.text for attachment in rule.attachments),
+                partial(_expand, rule),
+                tuple(attachment.where for attachment in rule.attachments),
+                len(rule.where.chain) > len(profile.where.chain),
+            )
+            for profile, around in self._nested
+            for rule in profile.rules
+        )
 
     def __getitem__(self, index: Any) -> Any:
         return self._made[index]
@@ -135,21 +144,6 @@ class _Clauses(Sequence[WrittenRule]):
 
     def __len__(self) -> int:
         return len(self._made)
-
-
-def _written(profile: comarmor.Profile, around: _Around) -> Iterator[WrittenRule]:
-    profiles = (*around, _texts(profile))
-    for part in profile.parts:
-        rules, chain = (part.rules, part.chain) if isinstance(part, Inclusion) else ((part,), ())
-        for rule in rules:
-            where = rule.where.included(chain)
-            yield WrittenRule(
-                profiles,
-                rule.with_expressions([attachment.text for attachment in rule.attachments], where),
-                partial(_expand, rule),
-                tuple(attachment.where.included(chain) for attachment in rule.attachments),
-                len(where.chain) > len(profile.where.chain),
-            )
 
 
 def _nested(profiles: tuple[comarmor.Profile, ...], around: _Around) -> Iterator[tuple[comarmor.Profile, _Around]]:
