@@ -20,7 +20,7 @@ import click
 from lxml import etree
 from sphinx.application import Sphinx
 
-from keymint.cli import cli
+from keymint.cli import GROUPS, cli
 from keymint.commands.tool.explain import PARTS
 from keymint.output.explanations import explanations
 
@@ -49,12 +49,11 @@ def write() -> None:
     """Write all pages, with an index of each kind."""
     files = {page_of(each): file_page(each) for each in documents()}
     pages = {name.replace(" ", "-"): verb_page(name, command) for name, command in verbs()}
-    for folder_name, index, texts in (("verbs", "# Verbs\n", pages), ("files", files_page(), files)):
+    for folder_name, index, texts in (("verbs", verbs_page(), pages), ("files", files_page(), files)):
         (FOLDER / folder_name).mkdir(parents=True, exist_ok=True)
         for name, text in texts.items():
             (FOLDER / folder_name / f"{name}.md").write_text(text)
-        hidden = "" if index.count("\n") == 1 else ":hidden:\n"
-        contents = f"```{{toctree}}\n:maxdepth: 1\n{hidden}\n" + "\n".join(texts) + "\n```\n"
+        contents = "```{toctree}\n:hidden:\n\n" + "\n".join(texts) + "\n```\n"
         (FOLDER / folder_name / "index.md").write_text(f"{index}\n{contents}")
     (FOLDER / "codes.md").write_text(codes_page())
 
@@ -101,6 +100,19 @@ def verbs() -> Iterator[tuple[str, click.Command]]:
                 found = command.get_command(context, below)
                 assert found is not None
                 yield f"{name} {below}", found
+
+
+def verbs_page() -> str:
+    """Return the index of the verbs: what each is for, in the groups of ``keymint --help``."""
+    lines = ["# Verbs", "", "`keymint VERB --help` prints the page of a verb.", ""]
+    for title, group in GROUPS.items():
+        lines += [f"## {title}", ""]
+        for name, command in verbs():
+            if name.partition(" ")[0] in group:
+                purpose = group.get(name) or (command.help or "").partition("\n")[0]
+                lines.append(f"* [keymint {name}]({name.replace(' ', '-')}.md): {escaped(purpose)}")
+        lines.append("")
+    return "\n".join(lines)
 
 
 def verb_page(name: str, command: click.Command) -> str:

@@ -37,8 +37,8 @@ SHOWN = 5
 def prove(
     run: Run,
     names: Names = names_group("ENCLAVE"),
-    seconds: float = option(type=Number(0), default=math.inf),
-    states: int = option(type=click.IntRange(1), default=STATES, show_default=True, hidden=True),
+    seconds: float = option(type=Number(0), metavar="S", default=math.inf),
+    states: int = option(type=click.IntRange(1), metavar="N", default=STATES, show_default=True, hidden=True),
     allow_vendor_specific: bool = standard_option,
     strict: bool = strict_option,
     distro: str | None = vendors_of_option,

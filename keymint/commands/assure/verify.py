@@ -56,7 +56,7 @@ def verify(
     distro: str | None = vendors_of_option,
     tier: str = option(type=click.Choice([str(tier) for tier in Tier]), default=str(Tier.DECISION), show_default=True),
     ros: bool = flag(),
-    limit: int = option(type=click.IntRange(0), default=1000, show_default=True),
+    limit: int = option(type=click.IntRange(0), metavar="N", default=1000, show_default=True),
     sarif: Path | None = path_option(kind=FILE),
     junit: Path | None = path_option(kind=FILE),
     report: Path | None = option(type=click.Path(path_type=Path, file_okay=False), metavar="DIR"),

@@ -60,7 +60,7 @@ def graph(
         fold=option("--fold/--no-fold", default=None),
         group=option("--group/--no-group", default=None),
         common=flag(),
-        limit=option(type=click.IntRange(1)),
+        limit=option(type=click.IntRange(1), metavar="N"),
         theme=option(
             type=click.Choice([str(theme) for theme in Theme]),
             default="auto",
@@ -68,7 +68,7 @@ def graph(
             callback=lambda _context, _parameter, value: Theme(value),
         ),
     ),
-    scale: float = option(type=Number(0.1, 10), default=2.0, show_default=True),
+    scale: float = option(type=Number(0.1, 10), metavar="FACTOR", default=2.0, show_default=True),
     title: str | None = option(metavar="TEXT"),
     policy_options: PolicyOptions = policy_options,
     source_type: str | None = plugin("keymint.graph_sources"),
