@@ -114,7 +114,7 @@ class Workers(Crew):
         """Let the processes stage what they planned, and return it in the order of stages.
 
         Args:
-            store: discards what some staged if others fail.
+            store: discards what some staged if others fail; it receives the status of their new folders.
 
         Raises:
             KeymintError: the system refuses a write; what others staged is discarded.
@@ -126,12 +126,14 @@ class Workers(Crew):
         errors: list[KeymintError] = []
         for pipe in self._pipes:
             try:
-                by_process += _answers(pipe)
+                for staged, seen in _answers(pipe):
+                    by_process.append(staged)
+                    store.seen |= seen
             except KeymintError as error:
                 errors.append(error)
         if errors:
-            for staged in itertools.chain(*by_process):
-                store.discard(staged)
+            for of_stage in itertools.chain(*by_process):
+                store.discard(of_stage)
             raise errors[0]
         return [each for of_stage in zip(*by_process, strict=True) for staged in of_stage for each in staged]
 
@@ -249,7 +251,7 @@ def _work(
             pipe.recv()
             store = open_store(session.workspace)
             staged = [[each for part in of_stage for each in store.stage(part)] for of_stage in changes]
-            pipe.send_bytes(_pickled(_DONE, staged))
+            pipe.send_bytes(_pickled(_DONE, (staged, store.seen)))
         except KeymintError as error:
             pipe.send_bytes(_pickled(_REFUSED, error.diagnostics, error.exit_code))
         except Exception as error:  # noqa: BLE001 - the parent reports it

@@ -373,7 +373,7 @@ class Run:
             )
 
             def look() -> Sight | None:
-                return sight.after(names, visible, clock(workspace.state, written))
+                return sight.after(names, visible, clock(workspace.state, written), store.seen)
 
             remember(self.setting.call, inputs, plan, self.presented(report), look, store, self.console)
             store.end()
@@ -417,7 +417,7 @@ class Run:
             report: its report; one with diagnostics is not recorded.
             show: shows what comes before the report.
         """
-        sight = self._sight and self._sight.after((), self._sight.clock, self._sight.clock)
+        sight = self._sight and self._sight.after((), self._sight.clock, self._sight.clock, {})
         if not sight or not is_recordable(self.setting.call, str(session.workspace.root)):
             return
         out, err = self.console.rendered(report, show)

@@ -64,8 +64,10 @@ def open_at(name: str | Path, parent: int | None = None, flags: int = FOLDER) ->
         os.close(descriptor)
 
 
-def create(folder: int, shown: str | Path, name: str, file: File, owner: tuple[int, int] | None = None) -> None:
-    """Create a file.
+def create(
+    folder: int, shown: str | Path, name: str, file: File, owner: tuple[int, int] | None = None
+) -> os.stat_result | None:
+    """Create a file, and return its status, or None for a link.
 
     Args:
         folder: the open folder.
@@ -77,10 +79,11 @@ def create(folder: int, shown: str | Path, name: str, file: File, owner: tuple[i
     try:
         if file.link:
             os.symlink(file.link, name, dir_fd=folder)
-            return
+            return None
         opened = os.open(name, NEW_FILE, 0o600, dir_fd=folder)
         try:
             fill(opened, file, owner)
+            return os.fstat(opened)
         finally:
             os.close(opened)
     except OSError as error:

@@ -26,6 +26,7 @@ from keymint.store.changes import File, FolderChange
 from keymint.store.file_writing import FILE, FOLDER, NEW_FILE, open_at, reported, temporary
 from keymint.store.open_folders import OpenFolders, Roots, close_to_others
 from keymint.view.file_reading import file_error, is_temporary
+from keymint.view.recorded_answers import FolderStatus, new_status
 
 _NO_LINK = {errno.EPERM, errno.EMLINK, errno.EOPNOTSUPP, errno.ENOSYS}
 """Errors where no hard link can be made: the file system has none, or the file belongs to another user."""
@@ -103,10 +104,12 @@ class Staging:
 
     Args:
         roots: where it may write.
+        seen: receives the status of new folders, by the path that each will have.
     """
 
-    def __init__(self, roots: Roots) -> None:
+    def __init__(self, roots: Roots, seen: dict[str, FolderStatus]) -> None:
         self._roots = roots
+        self._seen = seen
         self._trees: dict[str, FolderContent] = {}
         self._kept: list[tuple[int, str, FolderChange, bool]] = []
         """Changes in folders that are never replaced, each with its number, folder, and whether that is private."""
@@ -176,7 +179,7 @@ class Staging:
             except FileNotFoundError:
                 if written := inner.size():
                     with self._staging(opened, Exchange(inner.order, shown, name, temporary(), size=written)) as staged:
-                        add(opened, staged, f"{shown}/{name}", inner)
+                        add(opened, staged, f"{shown}/{name}", inner, self._seen)
                 continue
             except OSError as error:
                 file_writing.refuse(f"{shown}/{name}", error)
@@ -324,21 +327,34 @@ def _carry(old: int, new: int, shown: str, content: FolderContent, carried: dict
             carried[f"{inside}{name}"] = entry.inode()
 
 
-def _add_folders(parent: int, shown: str, content: FolderContent, staged: Collection[str] = ()) -> None:
+def _add_folders(
+    parent: int,
+    shown: str,
+    content: FolderContent,
+    staged: Collection[str] = (),
+    seen: dict[str, FolderStatus] | None = None,
+) -> None:
     """Create the new subfolders of a staged folder."""
     for name, inner in content.folders.items():
         if inner.size() and name not in staged:
-            add(parent, name, f"{shown}/{name}", inner)
+            place = f"{shown}/{name}"
+            status = add(parent, name, place, inner, seen)
+            # Its times stay when a folder around it is renamed; another process may add a folder to one with folders.
+            if status is not None and seen is not None and not status.folders:
+                seen[place] = status
 
 
-def add(parent: int, name: str, shown: str, content: FolderContent) -> None:
-    """Create a new folder.
+def add(
+    parent: int, name: str, shown: str, content: FolderContent, seen: dict[str, FolderStatus] | None = None
+) -> FolderStatus | None:
+    """Create a new folder, and return its status; None if it has links.
 
     Args:
         parent: the open folder in which to create it.
         name: its name.
-        shown: its path, for messages.
+        shown: the path that it will have.
         content: its files and folders.
+        seen: receives the status of each folder below it.
 
     Raises:
         KeymintError: the system refuses. The caller must remove what was created so far.
@@ -346,10 +362,10 @@ def add(parent: int, name: str, shown: str, content: FolderContent) -> None:
     with reported(shown):
         os.mkdir(name, 0o700, dir_fd=parent)
         with open_at(name, parent) as new:
-            for name_inside, file in content.files.items():
-                file_writing.create(new, shown, name_inside, file)
-            _add_folders(new, shown, content)
+            files = {inner: file_writing.create(new, shown, inner, file) for inner, file in content.files.items()}
+            _add_folders(new, shown, content, (), seen)
             os.fchmod(new, 0o700 if content.private else content.mode)
+            return new_status(os.fstat(new), files, content.folders)
 
 
 def _link(old: int, new: int, shown: str, name: str) -> None:

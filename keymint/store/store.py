@@ -33,6 +33,7 @@ from keymint.store.journal import Journal
 from keymint.store.open_folders import OpenFolders, Roots
 from keymint.store.staged import Exchange, Staging, remove_staged
 from keymint.view.file_reading import is_temporary
+from keymint.view.recorded_answers import FolderStatus
 from keymint.view.stamps import MAX_RECORD
 from keymint.view.tree import read_file
 
@@ -148,6 +149,8 @@ class Store:
         """The folder of records was new when the lock was taken."""
         self.missing: tuple[str, ...] = ()
         """The private folders that were missing when the lock was taken."""
+        self.seen: dict[str, FolderStatus] = {}
+        """The status of new folders without folders in them, as they were staged, by the path that each will have."""
 
     # -- sessions ------------------------------------------------------------------------------------------------
 
@@ -262,7 +265,7 @@ class Store:
             KeymintError: a path is not below a root, a symbolic link is in the way, or the system refuses. Nothing is
                 staged then.
         """
-        return Staging(self._roots).stage(changes)
+        return Staging(self._roots, self.seen).stage(changes)
 
     def commit(self, staged: Sequence[Exchange]) -> None:
         """Make staged changes visible and durable, in order; see :mod:`keymint.store.group_commit`.

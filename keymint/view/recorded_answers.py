@@ -356,6 +356,24 @@ class FolderStatus(NamedTuple):
         return self.newest < clock
 
 
+def new_status(
+    own: os.stat_result, files: Mapping[str, os.stat_result | None], folders: Iterable[str]
+) -> FolderStatus | None:
+    """Return the status of a folder from that of its files, just written, by name; None if one is a link."""
+    statuses = {name: status for name, status in files.items() if status is not None}
+    if len(statuses) < len(files):
+        return None
+    newest = max(max(each.st_mtime_ns, each.st_ctime_ns) for each in (own, *statuses.values()))
+    return _status_with(_STATUS(own), {name: _STATUS(each) for name, each in statuses.items()}, newest, folders)
+
+
+def _status_with(
+    own: tuple[int, ...], files: Mapping[str, tuple[int, ...]], newest: int, folders: Iterable[str]
+) -> FolderStatus:
+    names = one_of(tuple(sorted(files)))
+    return FolderStatus(_digest([own, *map(files.__getitem__, names)]), newest, names, tuple(sorted(folders)))
+
+
 def path_status(path: str) -> tuple[str, int]:
     """Return the status of a file or folder that may be anywhere, and its latest time; links are followed."""
     real = os.path.realpath(path)
@@ -449,8 +467,7 @@ def folder_status(
         return None
     except OSError:
         newest = NEVER
-    names = one_of(tuple(sorted(files)))
-    return FolderStatus(_digest([owner, *map(files.__getitem__, names)]), newest, names, tuple(sorted(folders)))
+    return _status_with(owner, files, newest, folders)
 
 
 class Sight(NamedTuple):
@@ -487,7 +504,11 @@ class Sight(NamedTuple):
         return dict(sorted(names.items())) if status.files and status.folders else names
 
     def after(
-        self, changes: Iterable[tuple[str, Iterable[str], Iterable[str]]], visible: int, clock: int
+        self,
+        changes: Iterable[tuple[str, Iterable[str], Iterable[str]]],
+        visible: int,
+        clock: int,
+        seen: Mapping[str, FolderStatus],
     ) -> Sight | None:
         """Return what is there when the run is done, or None if something else may have changed meanwhile.
 
@@ -495,16 +516,21 @@ class Sight(NamedTuple):
             changes: folders, perhaps more than once, with the names of the files that the run wrote and removed there.
             visible: the clock of the file system before the first write became visible.
             clock: the clock of the file system, later than the last write.
+            seen: the status of folders that the run created and nobody else has seen before, as it was then.
         """
         if not all(status.is_trusted(self.clock) for status in self.folders.values()):
             return None
         written: dict[str, set[str]] = {}
         removed: dict[str, set[str]] = {}
         for folder, new, gone in changes:
-            written.setdefault(folder, set()).update(new)
-            removed.setdefault(folder, set()).update(gone)
-        folders = dict(self.folders)
-        for folder in filter(self._has, {*written, *self._above(written)}):
+            if folder not in seen or seen[folder].files != tuple(sorted(new)):
+                written.setdefault(folder, set()).update(new)
+                removed.setdefault(folder, set()).update(gone)
+        own = {folder: status for folder, status in seen.items() if folder not in written and self._has(folder)}
+        if not all(status.is_trusted(clock) for status in own.values()):
+            return None
+        folders = {**self.folders, **own}
+        for folder in filter(self._has, {*written, *self._above((*written, *own))} - own.keys()):
             before, new = self.folders.get(folder), written.get(folder, set())
             present = folder_status(folder, new, self.clock, visible)
             if present is None:

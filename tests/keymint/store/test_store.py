@@ -23,6 +23,7 @@ from keymint.store.changes import File, FolderChange
 from keymint.store.file_writing import MAX_COMPONENT
 from keymint.store.journal import Journal
 from keymint.store.store import Store
+from keymint.view.recorded_answers import folder_status
 
 PUBLIC = File(b"public")
 SECRET = File(b"secret", secret=True)
@@ -679,3 +680,14 @@ def test_a_workspace_inside_a_folder_with_a_name_like_a_temporary_one_is_not_swe
     store.begin(Journal())
     store.recover()
     assert (root / "a" / "file").read_bytes() == b"public"
+
+
+def test_the_status_of_a_new_folder_is_known_as_it_was_staged(store: Store, root: Path) -> None:
+    new = {f"new/{each}": {"a": PUBLIC, "key": SECRET} for each in ("inner", "other/deep")}
+    changes = [FolderChange(root / folder, files) for folder, files in new.items()]
+    changes.append(FolderChange(root / "new/linked", {"link": File(b"", link="a")}))
+    changes.append(FolderChange(root / "top", {"a": PUBLIC}))
+    store.commit(store.stage(changes))
+    assert store.seen == {str(root / folder): folder_status(str(root / folder)) for folder in new}
+    (root / "new/inner/a").write_bytes(b"PUBLIC")
+    assert folder_status(str(root / "new/inner")) != store.seen[str(root / "new/inner")]

@@ -137,7 +137,7 @@ def after(folder: Path, during: Callable[[], object], written: str = "", late: C
     visible = now(folder)
     late()
     names = [(str(new.parent), {new.name}, ())] if written else []
-    seen = before.after(names, visible, now(folder))
+    seen = before.after(names, visible, now(folder), {})
     assert seen is None or dict(seen.folders) == walk([str(folder.parent)])
     return seen
 
@@ -151,7 +151,7 @@ def test_what_a_run_removes_is_gone(a: Path) -> None:
     before = Sight.of([str(a.parent)], now(a))
     (a / "other").unlink()
     moment = now(a)
-    seen = before.after([(str(a), (), ("other",))], moment, moment)
+    seen = before.after([(str(a), (), ("other",))], moment, moment, {})
     assert seen is not None
     assert seen.folders[str(a)].files == ("file",)
 
@@ -176,4 +176,4 @@ def test_what_another_program_does_to_a_new_file_is_in_doubt(a: Path) -> None:
 
 
 def test_a_folder_that_is_as_new_as_the_clock_is_in_doubt(a: Path) -> None:
-    assert Sight.of([str(a.parent)], 0).after((), 1, 1) is None
+    assert Sight.of([str(a.parent)], 0).after((), 1, 1, {}) is None
