@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 
 from comarmor.errors import Defects, Diagnostic, Origin
 from comarmor.text import quantity
@@ -92,7 +92,7 @@ class BuildStage(PackageStage):
         change = FolderChange(f"{workspace.build}/{name}", new.documents)
         sizes = _sizes(built, dict(sorted(built.plain_sizes.items())))
         step = Step(STAGE, name, Action.CREATED, (new.key, change), *sizes)
-        stamp, own = _stamp(session, new.inputs, new.documents, digest(repr(options)), package)
+        stamp, own = _stamp(session, new.inputs, new.documents, _context(options), package)
         new.built = PackagePlan(name, step, stamp, built.diagnostics, fingerprint=fingerprint, lifetimes=own)
         return new.built
 
@@ -170,6 +170,12 @@ class BuildStage(PackageStage):
         return {old.alone(): new.alone() for old, new in moved} | dict(moved)  # some diagnostics leave out the includes
 
 
+@lru_cache(maxsize=64)
+def _context(options: BuildOptions) -> str:
+    """Return the digest of options, for the record."""
+    return digest(repr(options))
+
+
 def options_as_built(session: Session, name: str) -> BuildOptions:
     """Return the options that a package was built with last, as far as the record tells; hints are not recorded."""
     stamp = session.state.stamp(STAGE, name)
@@ -188,7 +194,7 @@ def _plan_documents(session: Session, name: str, options: BuildOptions, *, force
     """Return the plan for a package and its key, or for the documents over all packages of a build type."""
     shared, folder = package_build_types.shared_type(name), documents_folder(session, name)
     options = options if shared else options_of(options, subject_of(name))
-    context = digest(repr(options))
+    context = _context(options)
     stamp = session.state.stamp(STAGE, name)
     same = stamp is not None and stamp.context == context and package_build_types.is_build_current(session, name)
     may_stay = same and not force and not rekey and (shared or identities.is_there(session, name))

@@ -274,17 +274,17 @@ def load_like(
         return None
     values = certificate.placeholder_values(rules.subject)
     own_identity, own_grant = (certificate.expanded_name(each, values) for each in patterns)
-    places = (
-        Origin(f"{folder}/{_IDENTITIES}", identity.origin.line),
-        Origin(f"{folder}/{_PERMISSIONS}", grant.origin.line),
-    )
-    return replace(
-        like,
-        name=name,
-        subject=rules.subject,
-        identity=replace(identity, subject_name=own_identity, origin=places[0]),
-        grant=replace(grant, name=rules.subject, subject_name=own_grant, rules=rules, origin=places[1]),
-    )
+    place = Origin(f"{folder}/{_IDENTITIES}", identity.origin.line)
+    spec = CertificateSpec(
+        own_identity, identity.validity, identity.serial, identity.issuer, identity.hash_algorithm, identity.key,
+        identity.extensions, place,
+    )  # fmt: skip
+    place = Origin(f"{folder}/{_PERMISSIONS}", grant.origin.line)
+    own = Grant(
+        grant.issuer, rules.subject, own_grant, grant.validity, grant.domains, rules, place, grant.domains_origin,
+        grant.defaults_origin,
+    )  # fmt: skip
+    return Package(name, rules.subject, like.distro, spec, own, like.build_types, like.settings, like.issuers)
 
 
 @lru_cache(maxsize=16)

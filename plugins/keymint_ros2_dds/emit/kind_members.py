@@ -249,12 +249,14 @@ class _Members:
     """The members of a kind.
 
     Attributes:
+        kind: the kind, which is known by its identity.
         first: the first member; None once it is among the exemplars.
         structure: None if no member can be renamed.
         exemplars: a member for each signature, with its DDS names and expressions, and how much more often the plain
             form has some of them.
     """
 
+    kind: Kind
     first: _Made | None
     structure: Structure | None = None
     exemplars: dict[Signature, tuple[_Made, list[str], Mapping[str, int]]] = field(default_factory=dict)
@@ -275,8 +277,8 @@ class _Members:
             self.exemplars[signature] = made, texts, made.more_often_plain(texts)
 
 
-_known: dict[tuple[Kind, str, Domains, tuple[str, ...]], _Members] = {}
-"""Members by kind, distribution, domains, and the expressions with a ``*`` that all must have."""
+_known: dict[tuple[int, str, Domains, tuple[str, ...]], _Members] = {}
+"""Members by identity of the kind, distribution, domains, and the expressions with a ``*`` that all must have."""
 
 
 def emit_by_kind(package: Package, options: BuildOptions) -> Emitted:
@@ -290,7 +292,7 @@ def emit_by_kind(package: Package, options: BuildOptions) -> Emitted:
     kind, arguments = package.grant.rules.kind
     domains = package.grant.domains
     same = () if may_differ(kind, arguments) else tuple(text for text in arguments if "*" in text)
-    key = kind, package.distro, domains, same
+    key = id(kind), package.distro, domains, same  # to hash a kind takes long, and equal ones are one object
     members = _known.get(key)
     if members is not None:
         if members.first is not None:  # its structure is made for the second member, since many kinds have one only
@@ -313,7 +315,7 @@ def emit_by_kind(package: Package, options: BuildOptions) -> Emitted:
         else:
             if len(_known) >= MOST:
                 _known.pop(next(iter(_known)))
-            _known[key] = _Members(made)
+            _known[key] = _Members(kind, made)
     return emitted
 
 
@@ -330,10 +332,10 @@ def _by_renaming(package: Package, arguments: Arguments, members: _Members) -> E
     """Return the document of a package by renaming; None if a condition of the lemma does not hold."""
     grant = package.grant
     fit = None if members.structure is None else members.structure.fit(arguments)
-    if fit is None or fit[1] not in members.exemplars or not _is_plain(grant):
+    found = members.exemplars.get(fit[1]) if fit else None
+    if fit is None or found is None or not _is_plain(grant):
         return None
-    own, signature = fit
-    made, others, more_often = members.exemplars[signature]
+    (own, signature), (made, others, more_often) = fit, found
     names = dict(zip(others, own, strict=True))
     rules = with_renamed_topics(made.rules, names)
     if gathered_rules(rules) != rules:
