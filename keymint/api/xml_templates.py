@@ -5,15 +5,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-_SPECIAL = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", "\r": "&#13;"})
+_SPECIAL = {"&": "&amp;", "<": "&lt;", ">": "&gt;", "\r": "&#13;"}
+_TEXT = str.maketrans(_SPECIAL)
+_ATTRIBUTE = str.maketrans({**_SPECIAL, '"': "&quot;", "\n": "&#10;", "\t": "&#09;"})
 
 
 def xml_document(template: Path, **context: object) -> bytes:
     """Return a document in UTF-8.
 
     Args:
-        template: file of the template, in which the filter ``xml`` makes a text that of an element; attributes are
-            escaped by themselves.
+        template: file of the template. In it the filter ``xml`` makes a text that of an element, ``xml(True)`` that of
+            an attribute. Other texts are escaped for both, apostrophes included.
         context: what the template names.
     """
     from jinja2 import Environment, StrictUndefined  # noqa: PLC0415 - slow
@@ -22,5 +24,9 @@ def xml_document(template: Path, **context: object) -> bytes:
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
     )
-    environment.filters["xml"] = lambda text: Markup(text.translate(_SPECIAL))  # noqa: S704 - quotes stay as they are
+
+    def escaped(text: str, attribute: bool = False) -> Markup:
+        return Markup(text.translate(_ATTRIBUTE if attribute else _TEXT))  # noqa: S704 - escaped here
+
+    environment.filters["xml"] = escaped
     return environment.from_string(template.read_text(encoding="utf-8")).render(context).encode()

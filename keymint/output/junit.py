@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from xml.etree import ElementTree as ET  # only writes
+from pathlib import Path
 
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
+from keymint.api.xml_templates import xml_document
 
 _CONTROL = lazy_regex(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
@@ -36,19 +37,7 @@ def junit(title: str, suites: Mapping[str, Sequence[JUnitCase]]) -> bytes:
         title: the run.
         suites: test cases that belong together, by the name of what they are about.
     """
-    root = ET.Element("testsuites", name=title)
-    for name, cases in suites.items():
-        failures = sum(case.failure is not None for case in cases)
-        counts = {"name": name, "tests": str(len(cases)), "failures": str(failures), "errors": "0", "skipped": "0"}
-        element = ET.SubElement(root, "testsuite", counts)
-        for case in cases:
-            tested = ET.SubElement(element, "testcase", classname=_legal(case.class_name), name=_legal(case.name))
-            if case.failure is not None:
-                kind, message = case.failure
-                ET.SubElement(tested, "failure", type=kind, message=_legal(message)).text = _legal(case.details)
-    ET.indent(root)
-    text: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
-    return text + b"\n"
+    return xml_document(Path(__file__).with_suffix(".xml.j2"), title=title, suites=suites, legal=_legal)
 
 
 def _legal(text: str) -> str:
