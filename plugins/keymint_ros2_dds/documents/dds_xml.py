@@ -30,25 +30,18 @@ _HEAD = b'<?xml version="1.0" encoding="UTF-8"?>\n'
 
 def root(kind: str) -> etree._Element:
     """Return the root element of a document of ``permissions`` or ``governance``."""
-    element = etree.Element("dds", nsmap={"xsi": _XSI})
-    element.set(f"{{{_XSI}}}noNamespaceSchemaLocation", _schema(kind))
-    return element
+    return etree.fromstring(f"{start(kind)}</dds>")
 
 
 def start(kind: str) -> str:
     """Return the start tag of a document of ``permissions`` or ``governance``."""
-    return f'<dds xmlns:xsi="{_XSI}" xsi:noNamespaceSchemaLocation="{_schema(kind)}">'
-
-
-def _schema(kind: str) -> str:
-    return f"{_SPEC}/omg_shared_ca_{kind}.xsd"
+    return f'<dds xmlns:xsi="{_XSI}" xsi:noNamespaceSchemaLocation="{_SPEC}/omg_shared_ca_{kind}.xsd">'
 
 
 def child(parent: etree._Element, tag: str, text: str | None = None) -> etree._Element:
     """Append an element and return it."""
     element = etree.SubElement(parent, tag)
-    if text is not None:
-        element.text = text
+    element.text = text
     return element
 
 
