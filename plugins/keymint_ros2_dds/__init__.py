@@ -29,7 +29,7 @@ class SignedPermissions(Presentation):
     choosers = lazy("keymint_ros2_dds.proving.presented:choosers")
     trusting_any_signer = lazy("keymint_ros2_dds.proving.presented:trusting_any_signer")
     excess = lazy("keymint_ros2_dds.proving.presented:excess")
-    compared_with = lazy("keymint_ros2_dds.proving.document_relation:compared_with")
+    compared_with = lazy("keymint_ros2_dds.keystores.foreign_documents:compared_with")
 
 
 class DdsKeystores(KeystoreReader):

@@ -41,10 +41,9 @@ def parse(path: Path) -> SourcePolicy:
         ComArmorError: a file is missing, outside of the policy's folder, too large, or not valid, with ``file:line``.
     """
     if os.path.isdir(path):  # noqa: PTH112 - raises nothing
-        raise ComArmorError(
-            "is a folder, expected the file of an SROS2 policy", where=Origin(path_text(str(path))),
-            code="policy-missing", help="name the file whose root is <policy>",
-        )  # fmt: skip
+        where, help_ = Origin(path_text(str(path))), "name the file whose root is <policy>"
+        message = "is a folder, expected the file of an SROS2 policy"
+        raise ComArmorError(message, where=where, help=help_, code="policy-missing")
     files = load_tree(path, form=INCLUDES)
     notes: dict[PolicyFile, Comments] = {}
     for document, chain in files.documents():
@@ -165,10 +164,9 @@ def _selected(root: Placed, steps: tuple[str, ...], where: Origin) -> Iterator[P
         parents = found
         found = [child for each in found for child in each.children() if step in {"*", child.element.tag}]
     if not found and not (parents and steps[-1] == "*"):  # all of an empty element is nothing
-        raise ComArmorError(
-            f"the xpointer /{'/'.join(steps)} selects nothing in {quote(root.file.name, 200)}", where=where,
-            help=f"the root of that file is <{root.element.tag}>", code="include-xpointer",
-        )  # fmt: skip
+        message = f"the xpointer /{'/'.join(steps)} selects nothing in {quote(root.file.name, 200)}"
+        help_ = f"the root of that file is <{root.element.tag}>"
+        raise ComArmorError(message, where=where, help=help_, code="include-xpointer")
     yield from found
 
 
@@ -182,10 +180,9 @@ def _href(element: etree._Element, where: Origin) -> str:
     if (element.text or "").strip():
         raise ComArmorError("xi:include must be empty", where=where, code="include-fallback", help="remove the text")
     if any(each.get(_BASE) is not None for each in element.iterancestors()):
-        raise ComArmorError(
-            "an element around this xi:include has xml:base, from where SROS2 reads the file", where=where,
-            code="include-base", help="remove xml:base, and write the href relative to this file",
-        )  # fmt: skip
+        message = "an element around this xi:include has xml:base, from where SROS2 reads the file"
+        help_ = "remove xml:base, and write the href relative to this file"
+        raise ComArmorError(message, where=where, help=help_, code="include-base")
     _steps(element, where)
     return href
 
@@ -204,10 +201,9 @@ def _steps(include: etree._Element, where: Origin) -> tuple[str, ...]:
         return ()
     match = _XPOINTER.fullmatch(xpointer)
     if match is None:
-        raise ComArmorError(
-            f"the xpointer {quote(xpointer)} is not supported", where=where, code="include-xpointer",
-            help="write xpointer(PATH) with a path of elements, e.g. xpointer(/profile/*); SROS2 refuses a path alone",
-        )  # fmt: skip
+        message = f"the xpointer {quote(xpointer)} is not supported"
+        help_ = "write xpointer(PATH) with a path of elements, e.g. xpointer(/profile/*); SROS2 refuses a path alone"
+        raise ComArmorError(message, where=where, help=help_, code="include-xpointer")
     return tuple(match[1][1:].split("/"))
 
 
@@ -273,10 +269,9 @@ class _Parser:
         """Return the node of a ``<profile>`` element."""
         names = [item.element.get(attribute) for attribute in ("ns", "node")]
         if names[0] is None or not names[1]:
-            raise ComArmorError(
-                "<profile> names no node, expected the attributes 'ns' and 'node'", where=item.where, code="schema",
-                help='to include its rules alone: xpointer="xpointer(/profile/*)"' if item.chain else "",
-            )  # fmt: skip
+            message = "<profile> names no node, expected the attributes 'ns' and 'node'"
+            help_ = 'to include its rules alone: xpointer="xpointer(/profile/*)"' if item.chain else ""
+            raise ComArmorError(message, where=item.where, help=help_, code="schema")
         lists = tuple(self.rules(child) for child in self.children(item, tuple(PERMISSIONS), "in <profile>"))
         return RosNode(names[0], names[1], lists, item.where, item.comments, item.closing)
 
@@ -340,6 +335,5 @@ def _refused(message: str, item: Placed, help_: str) -> ComArmorError:
 
 def _misplaced(item: Placed, place: str, expected: tuple[str, ...]) -> ComArmorError:
     one_of = " or ".join(f"<{name}>" for name in expected)
-    return ComArmorError(
-        f"<{item.element.tag}> is not expected {place}, expected {one_of}", where=item.where, code="schema"
-    )
+    message = f"<{item.element.tag}> is not expected {place}, expected {one_of}"
+    return ComArmorError(message, where=item.where, code="schema")

@@ -183,13 +183,11 @@ def expression(name: str, entry: Entry) -> str:
         written = name if _PLAIN.fullmatch(name) else canonical(tokenize(name, COMARMOR))
     except ComArmorError as error:
         (diagnostic,) = error.diagnostics
-        raise ComArmorError(
-            f"{quote(entry.text)}: {diagnostic.message}", where=entry.where, help=diagnostic.help, code="expression"
-        ) from None
+        message = f"{quote(entry.text)}: {diagnostic.message}"
+        raise ComArmorError(message, where=entry.where, help=diagnostic.help, code="expression") from None
     if len(written) > MOST_CHARACTERS:
-        raise ComArmorError(
-            f"the name is longer than {MOST_CHARACTERS:,} characters", where=entry.where, code="expression"
-        )
+        message = f"the name is longer than {MOST_CHARACTERS:,} characters"
+        raise ComArmorError(message, where=entry.where, code="expression")
     return written
 
 

@@ -309,13 +309,11 @@ def _given(participants: Collection[DiscoveredParticipant], given: Mapping[str, 
     for typed, name in given.items():
         guid = re.sub(r"[.:|\s]", "", typed).lower()
         if not _GUID.match(guid):
-            raise usage_error(
-                f"{typed!r} is not a GUID", "8 to 32 hexadecimal digits, as 'keymint discover -v' shows them"
-            )
+            help_ = "8 to 32 hexadecimal digits, as 'keymint discover -v' shows them"
+            raise usage_error(f"{typed!r} is not a GUID", help_)
         if not legal_node(name):
-            raise usage_error(
-                f"{name!r} is not the name of a subject", "a name is '/' and segments, e.g. /robot1/talker"
-            )
+            help_ = "a name is '/' and segments, e.g. /robot1/talker"
+            raise usage_error(f"{name!r} is not the name of a subject", help_)
         for participant in participants:
             if participant.guid.startswith(guid):
                 names[participant.guid] = name

@@ -10,18 +10,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from functools import lru_cache
 
 from lxml import etree
 
 from comarmor.errors import Diagnostic
-from keymint.api import BuildOptions, Comparison, ComparisonTask, ImportedSubject, Package, Relation
+from keymint.api import BuildOptions, Comparison, ComparisonTask, DocumentComparison, ImportedSubject, Package, Relation
 from keymint.errors import KeymintError
+from keymint.pki import distinguished_names
+from keymint_ros2_dds import subject_names
 from keymint_ros2_dds.compiling.grant_compiler import compile_rules
 from keymint_ros2_dds.decision.semantics import OMG, STANDARD
 from keymint_ros2_dds.documents import dds_xml, permissions_document
 from keymint_ros2_dds.emit.emission import Emitted, comparison
-from keymint_ros2_dds.enclave_layout import GOVERNANCE_XML, PERMISSIONS_XML
+from keymint_ros2_dds.enclave_layout import GOVERNANCE_XML, PERMISSIONS_P7S, PERMISSIONS_XML
 from keymint_ros2_dds.proving.claims import prove_content
 from keymint_ros2_dds.proving.document_relation import compare_document
 from keymint_ros2_dds.reading import signed_governance, signed_permissions
@@ -57,6 +60,16 @@ def compare(subject: ImportedSubject, distro: str, states: int, go_on: Callable[
         prove_content(task(ours, grant.subject_name), models=(OMG.name,), lowered=compiled.lowered),
         compiled.diagnostics,
     )
+
+
+def compared_with(content: bytes, name: str, package: Package) -> DocumentComparison:
+    """Compare a document with the rules of a package; see :meth:`keymint.api.Presentation.compared_with`.
+
+    Raises:
+        KeymintError: a rule cannot be mapped.
+    """
+    own = subject_names.of_any(distinguished_names.parse(name))
+    return compare_document(replace(comparison(package, content), file=PERMISSIONS_P7S, subject_name=own))
 
 
 # -- kept as they are ------------------------------------------------------------------------------------------------

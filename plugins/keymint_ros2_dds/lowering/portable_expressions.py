@@ -56,9 +56,8 @@ def _literal(text: str) -> str:
     if unsafe := _UNSAFE.search(text):
         char = unsafe.group()
         if char in "*?[\\":
-            raise NotPortableError(
-                f"the name has a literal {char!r}, for which the standard and the vendors have no common escape"
-            )
+            why = "for which the standard and the vendors have no common escape"
+            raise NotPortableError(f"the name has a literal {char!r}, {why}")
         raise NotPortableError(f"the name has the character {char!r}, which is not printable ASCII")
     _check_ends(text)
     return text
@@ -81,9 +80,8 @@ def _choices(token: str | Charset | Star) -> list[str]:
         return [_literal(f"x{char}x")[1:-1] for char in token.chars()]
     excluded = token.complement().intersection(_ASCII)
     if len(excluded) > MAX_ALTERNATIVES or token.ranges[-1][1] != ANY.ranges[0][1]:
-        raise NotPortableError(
-            f"a bracket expression holds more than {MAX_ALTERNATIVES} characters, and on Cyclone DDS ']' matches it too"
-        )
+        what = f"a bracket expression holds more than {MAX_ALTERNATIVES} characters"
+        raise NotPortableError(f"{what}, and on Cyclone DDS ']' matches it too")
     if unsafe := next((char for char in token.complement().chars() if not " " <= char <= "~"), None):
         raise NotPortableError(f"a bracket expression leaves out {unsafe!r}, which is not printable ASCII")
     for char in _TRAPS:

@@ -13,12 +13,9 @@ from itertools import product
 from comarmor.patterns.decision_lists import DecisionList, Unknown, Witness
 from comarmor.patterns.proofs import escapes
 from comarmor.patterns.tokens import PatternError
-from keymint.api import ComparisonTask, Counterexample, DocumentComparison, Package, Relation
+from keymint.api import ComparisonTask, Counterexample, DocumentComparison, Relation
 from keymint.errors import KeymintError
-from keymint.pki import distinguished_names
-from keymint_ros2_dds import subject_names
 from keymint_ros2_dds.decision.semantics import OMG
-from keymint_ros2_dds.enclave_layout import PERMISSIONS_P7S
 from keymint_ros2_dds.lowering.lowered_rules import lower
 from keymint_ros2_dds.lowering.name_mapping import TopicAction
 from keymint_ros2_dds.proving import document_lists, octets
@@ -28,7 +25,6 @@ from keymint_ros2_dds.proving.questions import Counterexamples, ProofQuestion, S
 from keymint_ros2_dds.reading.signed_permissions import read
 
 _SEMANTICS = OMG.semantics
-_STATES = 50_000
 
 
 def compare_document(task: ComparisonTask) -> DocumentComparison:
@@ -45,20 +41,6 @@ def compare_document(task: ComparisonTask) -> DocumentComparison:
     if refused := _SEMANTICS.refusal(document):
         return DocumentComparison(Relation.UNKNOWN, reason=refused)
     return _Comparison(ProofQuestion(document, task, lowered)).result()
-
-
-def compared_with(content: bytes, name: str, package: Package) -> DocumentComparison:
-    """Compare a document with the rules of a package; see :meth:`keymint.api.Presentation.compared_with`.
-
-    Raises:
-        KeymintError: a rule cannot be mapped.
-    """
-    own, grant = subject_names.of_any(distinguished_names.parse(name)), package.grant
-    return compare_document(
-        ComparisonTask(
-            content, PERMISSIONS_P7S, 0, own, grant.rules, package.distro, grant.domains, _STATES, lambda: True
-        )
-    )
 
 
 _Found = tuple[str, Situation]

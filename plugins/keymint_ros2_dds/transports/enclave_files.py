@@ -127,11 +127,9 @@ def refuse_unusable_key(enclave: InstalledEnclave) -> None:
         KeymintError: that is so.
     """
     if (enclave.folder / layout.KEY_URI).is_file():
-        raise KeymintError(
-            f"the private key of {enclave.subject} lies in a token of its robot, so no participant can be started here",
-            help="ask implementations that need no key: -i omg -i fastdds-2.9",
-            code="key-in-token",
-        )
+        what = f"the private key of {enclave.subject} lies in a token of its robot"
+        help_ = "ask implementations that need no key: -i omg -i fastdds-2.9"
+        raise KeymintError(f"{what}, so no participant can be started here", help=help_, code="key-in-token")
     if (enclave.folder / layout.KEY).is_file() and b"ENCRYPTED" in installed_file(enclave.folder / layout.KEY):
         message = f"the private key of {enclave.subject} is encrypted, and participants cannot be given the password"
         help_ = "ask implementations that need no key: -i omg -i cyclonedds-0.10 -i fastdds-2.9"
