@@ -21,6 +21,8 @@ WRITTEN_TO_BE_FOLLOWED = sorted([*(DOCS / "tutorials").glob("*.md"), *(DOCS / "h
 NEEDS_TOKEN = DOCS / "how-to" / "hsm.md"
 FOLLOWED = [
     CHECKOUT / "README.md",
+    DOCS / "audit.md",
+    DOCS / "ci.md",
     DOCS / "keystore-life.md",
     DOCS / "sros2.md",
     DOCS / "explanation" / "proof.md",
