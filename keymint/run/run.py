@@ -6,6 +6,9 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import itertools
+import json
+import re
+import shlex
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import field, replace
 from datetime import datetime
@@ -13,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from comarmor.errors import Diagnostic, Origin, Severity, citation
+from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint import SPACES
 from keymint.api import Environment
@@ -71,6 +75,11 @@ class Setting:
     who: Callable[[], tuple[str, str]] = lambda: ("", "")
 
 
+_COMMAND = lazy_regex(r"'keymint ([a-z]+)([^']*)'")
+WITHOUT_WORKSPACE = frozenset(
+    {"accept", "completion", "diff", "discover", "explain", "import", "learn", "plugins", "request", "transports"}
+)
+"""Verbs that take no workspace."""
 _ExitCodeOf = Callable[[Plan], ExitCode]
 """Returns the exit code of an executed plan."""
 
@@ -146,12 +155,21 @@ class Run:
         return citation(self.typed(where.file), where.line, where.source) if where else ""
 
     def as_typed(self, diagnostic: Diagnostic) -> Diagnostic:
-        """Return a diagnostic with all paths as the user would type them."""
+        """Return a diagnostic with all paths, and the workspace of commands, as the user would type them."""
         message, help_ = diagnostic.message, diagnostic.help
         for folder, name in self.folder_names.items():
             message, help_ = message.replace(folder, name), help_.replace(folder, name)
+        if self._named not in {None, Path()} and "keymint " in message + help_:
+            message, help_ = (_COMMAND.sub(self._with_workspace, text) for text in (message, help_))
         where = diagnostic.where and diagnostic.where.with_files(self.typed)
         return replace(diagnostic, message=message, where=where, help=help_)
+
+    def _with_workspace(self, command: re.Match[str]) -> str:
+        """Return a command in a message with the workspace that the user named, if its verb takes one."""
+        if command[1] in WITHOUT_WORKSPACE or " -w " in command[0]:
+            return command[0]
+        name = str(self._named)
+        return f"'keymint {command[1]}{command[2]} -w {name if shlex.quote(name) == name else json.dumps(name)}'"
 
     # -- the workspace -------------------------------------------------------------------------------------------
 

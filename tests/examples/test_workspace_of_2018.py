@@ -113,7 +113,7 @@ def test_a_committed_build_space_is_neither_signed_nor_replaced_unasked(keymint,
     assert keymint("create", "--all", "-w", ws).code == 0
     outcome = keymint("build", "-w", ws, "--json")
     assert outcome.codes() == ["build-foreign"] * len(PACKAGES)
-    assert outcome.document["diagnostics"][-1]["help"] == "'keymint build -f talker' replaces it"
+    assert outcome.document["diagnostics"][-1]["help"] == f"'keymint build -f talker -w {ws}' replaces it"
     assert keymint("install", "-w", ws).code != 0
     assert {path: state for path, state in snapshot(ws / "build").items() if path in stale} == stale
     assert not (ws / "install" / "enclaves").exists()

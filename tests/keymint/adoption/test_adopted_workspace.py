@@ -37,7 +37,7 @@ def test_a_file_that_the_installation_would_change(keymint, tmp_path: Path) -> N
     (keystore / "enclaves/governance.xml").write_bytes(sros2_keystore.governance(9))
     outcome = keymint("adopt", "ks", "policy.xml", "--apply", "-w", "ws")
     assert outcome.code == 1
-    assert "ks/enclaves/governance.xml: error: would be changed by 'keymint install'" in outcome.err
+    assert "ks/enclaves/governance.xml: error: would be changed by 'keymint install -w ws'" in outcome.err
     assert not (tmp_path / "ws").exists()
 
 

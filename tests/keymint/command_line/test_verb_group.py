@@ -102,5 +102,6 @@ def test_help_imports_no_verb(group: tuple[str, ...]) -> None:
 
 
 def test_wrong_arguments_are_one_line_with_what_was_expected(keymint: Callable[..., Outcome]) -> None:
-    expected = "error: Got unexpected extra argument (ws); expected: keymint provision [OPTIONS] POLICY [usage]\n"
-    assert keymint("provision", "policy.xml", "ws").err == expected
+    expected = "error: Got unexpected extra argument (ws); expected: keymint provision [OPTIONS] POLICY"
+    hint = "(a workspace is named by -w: -w ws)"
+    assert keymint("provision", "policy.xml", "ws").err == f"{expected} {hint} [usage]\n"

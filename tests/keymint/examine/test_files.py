@@ -44,10 +44,10 @@ def test_an_edited_script_is_a_finding_and_a_missing_one_is_none(keymint: Callab
         "error",
         "ws/install/keystore.bash",
     )
-    assert finding["help"] == "'keymint install' restores it"
+    assert finding["help"] == "'keymint install -w ws' restores it"
     path.write_text("source /elsewhere\n")
     (finding,) = keymint("check", "-w", "ws", "--json").document["diagnostics"]
-    assert finding["help"] == "rename it or remove it, and run 'keymint install'"
+    assert finding["help"] == "rename it or remove it, and run 'keymint install -w ws'"
 
 
 @pytest.mark.parametrize("file", ["governance.p7s", "identity_ca.cert.pem"])

@@ -183,7 +183,7 @@ def test_another_router_needs_another_package(ws: Path, keymint: Callable) -> No
     defaults.write_text(defaults.read_text().replace("<name>zenoh_router<", "<name>fleet/router<"))
     outcome = keymint("build", "-w", ws)
     assert outcome.code == 1
-    assert "remove the package's folder, then run 'keymint create --all'" in outcome.err
+    assert f"remove the package's folder, then run 'keymint create --all -w {ws}'" in outcome.err
     shown = keymint("status", "-w", ws).out
     assert [line.split()[0] for line in shown.splitlines()[1:6]] == [
         "fleet/router", "listener", "talker", "zenoh_router", "shared",

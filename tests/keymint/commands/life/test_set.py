@@ -132,7 +132,7 @@ def test_another_domain_in_the_environment_is_a_warning(keymint: Callable, provi
     for words in (provision, provision, ("check",), ("env", "talker")):
         warned = keymint(*words, "--json", cwd=provisioned, env={"ROS_DOMAIN_ID": asked})
         assert (warned.code, warned.codes()) == (0, ["domain-environment"]), words
-        assert "'keymint set domain'" in warned.document["diagnostics"][0]["help"]
+        assert "'keymint set domain" in warned.document["diagnostics"][0]["help"]
         for same in ("0", "", "000"):
             assert keymint(*words, "--json", cwd=provisioned, env={"ROS_DOMAIN_ID": same}).codes() == []
     edit(provisioned / GRANTS, "<id>0</id>", "<id>0</id><id_range><min>4</min><max>6</max></id_range>")
@@ -154,7 +154,10 @@ def test_the_advice_leads_through(keymint: Callable, tmp_path: Path, setting: st
         assert keymint("build", "-w", "ws").code == 0
         refused = keymint("install", "-w", "ws")
         assert "counterexample" in refused.err
-        assert ("'keymint create --all' and 'keymint build' first" in refused.err, "no-prove" in refused.err) == (
+        assert (
+            "'keymint create --all -w ws' and 'keymint build -w ws' first" in refused.err,
+            "no-prove" in refused.err,
+        ) == (
             True,
             False,
         )

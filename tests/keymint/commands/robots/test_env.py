@@ -85,7 +85,7 @@ def test_one_that_is_not_installed(keymint, ws: Path) -> None:
     shutil.rmtree(ws / "install/enclaves/talker")
     outcome = keymint("env", "/talker", "-w", "ws", "--json")
     assert (outcome.code, outcome.codes()) == (1, ["not-installed"])
-    assert outcome.document["diagnostics"][0]["help"] == "run 'keymint install talker'"
+    assert outcome.document["diagnostics"][0]["help"] == "run 'keymint install talker -w ws'"
 
 
 def test_it_writes_nothing(keymint, ws: Path) -> None:

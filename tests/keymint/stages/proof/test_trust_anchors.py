@@ -31,7 +31,7 @@ def test_an_enclave_of_another_workspace_is_a_finding_of_every_verb(
     assert by_name["/talker"]["proof"] == "unknown"
     assert by_name["/talker"]["claims"] == []
     assert by_name["/robot1/listener"]["proof"] == "proven"
-    assert "'keymint install' restores it" in keymint("prove", "-w", provisioned).err
+    assert f"'keymint install -w {provisioned}' restores it" in keymint("prove", "-w", provisioned).err
     for arguments in (["verify", "-i", "omg"], ["why", "/talker", "ros_publish", "/chatter", "-i", "omg"]):
         outcome = keymint(*arguments, "-w", provisioned, "--json")
         assert outcome.code == 3, "its own authorities permit it, but they are not ours"
