@@ -126,7 +126,9 @@ def verb_page(name: str, command: click.Command) -> str:
     for each in hidden:
         each.hidden = False
     few = ["## Options that few users need", "", *option_table(hidden, context), ""] if hidden else []
-    text = paragraphs(command.help or "")
+    text = [*paragraphs(command.help or "")]
+    if isinstance(command, click.Group):
+        text += [f"* [keymint {name} {below}]({name}-{below}.md)" for below in command.list_commands(context)]
     return "\n".join([f"# keymint {name}", "", "```", usage, "```", "", *text, "", "## Options", "", *usual, "", *few])
 
 

@@ -77,6 +77,7 @@ def test_each_verb_has_a_page_with_its_options(verb: str, site: Path) -> None:
     assert " ".join((command.help or "").split()[:5]) in page
     shown = [each for each in command.params if isinstance(each, click.Option) and (each.help or not each.hidden)]
     assert [name for each in shown for name in each.opts if name not in page] == []
+    assert [each.opts for each in shown if not each.help] == []
 
 
 def test_each_file_of_a_workspace_that_has_a_schema_has_a_page(site: Path) -> None:

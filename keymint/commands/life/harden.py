@@ -35,7 +35,7 @@ def harden(
     """List the steps that are open and what each costs; --apply does one of them.
 
     \b
-    authority      a second authority signs documents: the one that issues identities cannot any more
+    authority      a second authority signs documents: the one that issues identities no longer does
     identifiers    the certificates of authorities get key identifiers and the right to sign revocation lists
     names          a unique RDN in the subject names of the packages NAME [all]
 

@@ -51,6 +51,7 @@ def diff(
     keymint diff HEAD~1:policy policy --format markdown
 
     Options:
+        kind: Format of the list; markdown: for a comment on a change; json: the same as --json.
         budget: States to search.
     """
     if kind == "json":
