@@ -276,12 +276,10 @@ def _key(element: etree._Element) -> KeySpec:
         return _token_key(element, key, uri)
     pin_env = element.find("pin_env")
     if not key.algorithm or pin_env is not None:
-        raise KeymintError(
-            "a key without <asymmetric_type>" if not key.algorithm else "<pin_env> is given, but no token",
-            where=place(element if pin_env is None else pin_env),
-            help="write <pkcs11>pkcs11:token=…;object=…</pkcs11> if it lies in a token, else its type",
-            code="key-incomplete",
-        )
+        message = "<pin_env> is given, but no token" if key.algorithm else "a key without <asymmetric_type>"
+        help_ = "write <pkcs11>pkcs11:token=…;object=…</pkcs11> if it lies in a token, else its type"
+        where = place(element if pin_env is None else pin_env)
+        raise KeymintError(message, where=where, help=help_, code="key-incomplete")
     encryption, password_env = element.find("encryption_algorithm"), text(element.find("password_env")) or ""
     encrypted = text(encryption) == "BestAvailableEncryption"
     if encrypted != bool(password_env):

@@ -54,9 +54,8 @@ def check_choice(noun: str, value: str, known: Collection[str], code: str, where
         return value
     message = f"unknown {noun} {value!r}"
     help_ = did_you_mean(value, known, f"known are {', '.join(known)}")
-    raise KeymintError(
-        message, where=where, help=help_, code=code, exit_code=ExitCode.FAILURE if where else ExitCode.USAGE
-    )
+    exit_code = ExitCode.FAILURE if where else ExitCode.USAGE
+    raise KeymintError(message, where=where, help=help_, code=code, exit_code=exit_code)
 
 
 def layout(distro: str) -> str:

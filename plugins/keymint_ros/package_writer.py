@@ -337,6 +337,5 @@ def _edited(
     for pattern, new in edits.items():
         if found := pattern.search(plain):
             return {path: f"{text[: found.start()]}{found.expand(new)}{text[found.end() :]}".encode()}
-    raise KeymintError(
-        "is written in a way that Keymint does not edit", where=Origin(shown), help=help_, code="harden-by-hand"
-    )
+    message = "is written in a way that Keymint does not edit"
+    raise KeymintError(message, where=Origin(shown), help=help_, code="harden-by-hand")

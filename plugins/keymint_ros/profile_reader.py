@@ -110,14 +110,11 @@ def _policy_path(policy: etree._Element) -> _PathElement:
     (*config, path) = policy.iterfind("comarmor/*")
     for each in config:
         if os.path.normpath(text(each) or "") != os.path.normpath(text(path) or ""):
-            raise KeymintError(
-                f"<{each.tag}> names another folder than <{path.tag}>, but includes are relative to the file that has "
-                "them",
-                where=place(each),
-                help=f"move what is included into {text(path)!r}, and write <profile_path>{text(path)}</profile_path> "
-                "in place of both",
-                code="policy-folders",
-            )
+            names = f"<{each.tag}> names another folder than <{path.tag}>"
+            element = f"<profile_path>{text(path)}</profile_path>"
+            message = f"{names}, but includes are relative to the file that has them"
+            help_ = f"move what is included into {text(path)!r}, and write {element} in place of both"
+            raise KeymintError(message, where=place(each), help=help_, code="policy-folders")
     return text(path) or "", line(path)
 
 

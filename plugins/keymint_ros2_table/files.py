@@ -79,10 +79,9 @@ def rows_of_database(content: bytes, file: str) -> Iterator[rows.TableRow | ComA
             if not header:
                 found = database.execute("SELECT name FROM sqlite_master WHERE type IN ('table', 'view')")
                 usual = f"create a view {NAME}({', '.join(rows.COLUMNS)})"
-                raise ComArmorError(
-                    f"the database has no table or view {NAME}", where=where, code="table-header",
-                    help=did_you_mean(NAME, [str(name) for (name,) in found], usual),
-                )  # fmt: skip
+                message = f"the database has no table or view {NAME}"
+                help_ = did_you_mean(NAME, [str(name) for (name,) in found], usual)
+                raise ComArmorError(message, where=where, help=help_, code="table-header")
             order = rows.column_order(header, where)
             database.set_authorizer(guard.authorize)
             database.set_progress_handler(guard.progress, _STEPS_BETWEEN)
@@ -91,9 +90,8 @@ def rows_of_database(content: bytes, file: str) -> Iterator[rows.TableRow | ComA
             chosen = ", ".join(name if at >= 0 else "NULL" for name, at in zip(rows.COLUMNS, order, strict=True))
             for number, values in enumerate(database.execute(f"SELECT {chosen} FROM {NAME}"), 1):  # noqa: S608 - constants
                 if number > rows.MOST_ROWS:
-                    raise ComArmorError(
-                        f"{NAME} has more than the {rows.MOST_ROWS:,} rows allowed", where=where, code="table-limit"
-                    )
+                    message = f"{NAME} has more than the {rows.MOST_ROWS:,} rows allowed"
+                    raise ComArmorError(message, where=where, code="table-limit")
                 guard.most_memory += 1
                 yield _row(values, file, number)
         except MemoryError:
@@ -190,19 +188,16 @@ def read(path: Path) -> tuple[Iterator[rows.TableRow | ComArmorError], Mapping[P
     with file_errors("the table", Origin(file), "policy-missing"):
         real = path.resolve(strict=True)
         if real.is_dir():
-            raise ComArmorError(
-                "is a folder, expected a table", where=Origin(file), help="name a CSV file or an SQLite database",
-                code="policy-missing",
-            )  # fmt: skip
+            message, help_ = "is a folder, expected a table", "name a CSV file or an SQLite database"
+            raise ComArmorError(message, where=Origin(file), help=help_, code="policy-missing")
         before = real.stat()
         content = read_bounded(real.parent, real, _MOST_SQLITE + 1)
     seen = {path: hashlib.sha256(content).digest()}
     is_database = content.startswith(MAGIC)
     most = _MOST_SQLITE if is_database else _MOST_CSV
     if len(content) > most:
-        raise ComArmorError(
-            f"the table has more than the {most:,} bytes allowed", where=Origin(file), code="table-limit"
-        )
+        message = f"the table has more than the {most:,} bytes allowed"
+        raise ComArmorError(message, where=Origin(file), code="table-limit")
     if not is_database:
         return rows.rows_of_csv(content, file), seen
     for suffix in (_LOG, _JOURNAL):

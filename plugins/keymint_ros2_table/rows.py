@@ -57,9 +57,8 @@ def column_order(header: Sequence[str], where: Origin) -> tuple[int, ...]:
             help_ = did_you_mean(name, COLUMNS, f"known are {', '.join(COLUMNS)}")
             raise ComArmorError(f"the column {quote(name)} is unknown", where=where, code="table-header", help=help_)
         if name in header[:at]:
-            raise ComArmorError(
-                f"there are two columns {quote(name)}", where=where, help="remove one of them", code="table-header"
-            )
+            message = f"there are two columns {quote(name)}"
+            raise ComArmorError(message, where=where, help="remove one of them", code="table-header")
     if missing := [name for name in REQUIRED if name not in header]:
         help_ = f"expected are {', '.join(REQUIRED)}, and perhaps {' and '.join(OPTIONAL)}"
         raise ComArmorError(f"the column {missing[0]} is missing", where=where, code="table-header", help=help_)
@@ -114,22 +113,18 @@ def rows_of_csv(content: bytes, file: str) -> Iterator[TableRow | ComArmorError]
         raise ComArmorError("the table is empty", where=Origin(file), help=help_, code="table-header")
     names = [name.strip() for name in header[1]]
     if len(names) == 1 and is_header(names[0]):
-        raise ComArmorError(
-            "the columns are not separated by commas", where=Origin(file, 1),
-            help=f"expected the header {','.join(COLUMNS)}", code="table-header",
-        )  # fmt: skip
+        message, help_ = "the columns are not separated by commas", f"expected the header {','.join(COLUMNS)}"
+        raise ComArmorError(message, where=Origin(file, 1), help=help_, code="table-header")
     order = column_order(names, Origin(file, header[0]))
     written = (record for record in records if record[1])  # not the empty lines
     for number, (line, fields) in enumerate(written, 1):
         if number > MOST_ROWS:
-            raise ComArmorError(
-                f"the table has more than the {MOST_ROWS:,} rows allowed", where=Origin(file, line), code="table-limit"
-            )
+            message = f"the table has more than the {MOST_ROWS:,} rows allowed"
+            raise ComArmorError(message, where=Origin(file, line), code="table-limit")
         if len(fields) != len(names):
-            yield ComArmorError(
-                f"the row has {quantity(len(fields), 'field')}, expected {len(names)} as in the header",
-                where=Origin(file, line), help='a field with a comma is written in quotes: "a,b"', code="table-row",
-            )  # fmt: skip
+            message = f"the row has {quantity(len(fields), 'field')}, expected {len(names)} as in the header"
+            help_ = 'a field with a comma is written in quotes: "a,b"'
+            yield ComArmorError(message, where=Origin(file, line), help=help_, code="table-row")
             continue
         *texts, source = (strip(fields[at]) if at >= 0 else "" for at in order)
         try:
@@ -144,10 +139,8 @@ def _records(content: bytes, file: str) -> Iterator[tuple[int, list[str]]]:
     try:
         content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        line = content.count(b"\n", 0, error.start) + 1
-        raise ComArmorError(
-            "the table is not UTF-8", where=Origin(file, line), help="save it as CSV in UTF-8", code="table-encoding"
-        ) from None
+        where, help_ = Origin(file, content.count(b"\n", 0, error.start) + 1), "save it as CSV in UTF-8"
+        raise ComArmorError("the table is not UTF-8", where=where, help=help_, code="table-encoding") from None
     text = io.TextIOWrapper(io.BytesIO(content), "utf-8-sig", newline="")  # as a str it may take four times the memory
     size = 0
 
@@ -166,7 +159,6 @@ def _records(content: bytes, file: str) -> Iterator[tuple[int, list[str]]]:
             yield line, fields
             line, size = reader.line_num + 1, 0
     except csv.Error as error:
-        raise ComArmorError(
-            f"the row is not valid CSV: {error}", where=Origin(file, line),
-            help='a field with a quote is written in quotes, with the quote doubled: "a""b"', code="table-row",
-        ) from None  # fmt: skip
+        message = f"the row is not valid CSV: {error}"
+        help_ = 'a field with a quote is written in quotes, with the quote doubled: "a""b"'
+        raise ComArmorError(message, where=Origin(file, line), help=help_, code="table-row") from None

@@ -112,27 +112,23 @@ def _differences(packages: Sequence[Package]) -> Iterator[Diagnostic]:
     for package in packages:
         own = settings_of(package).router
         if own != router:
-            yield Diagnostic.error(
-                "zenoh-routers",
-                f"{package.subject} has the router {own.name} at {own.endpoint}, but {first.subject} has {router.name} "
-                f"at {router.endpoint}: one router decides for all enclaves of a workspace",
-                own.origin, f"give both the same router, as at {router.origin}", package.subject,
-            )  # fmt: skip
-        if package.identity.issuer != first.identity.issuer:
-            yield Diagnostic.error(
-                "zenoh-issuers",
-                f"{package.identity.issuer!r} issues the certificate of {package.subject}, {first.identity.issuer!r} "
-                f"that of {first.subject}: a router and a session with different issuers refuse each other",
-                package.identity.origin, f"give both the same issuer_name, as at {first.identity.origin}",
-                package.subject,
-            )  # fmt: skip
-        if package.grant.issuer != first.grant.issuer:
-            yield Diagnostic.error(
-                "zenoh-signers",
-                f"the rights of {package.subject} are signed by {package.grant.issuer!r}, those of {first.subject} by "
-                f"{first.grant.issuer!r}, but they stand in one file",
-                package.grant.origin, f"give both the same issuer_name, as at {first.grant.origin}", package.subject,
-            )  # fmt: skip
+            its, expected = (f"{each.name} at {each.endpoint}" for each in (own, router))
+            routers = f"{package.subject} has the router {its}, but {first.subject} has {expected}"
+            message = f"{routers}: one router decides for all enclaves of a workspace"
+            help_ = f"give both the same router, as at {router.origin}"
+            yield Diagnostic.error("zenoh-routers", message, own.origin, help_, package.subject)
+        identity, usual = package.identity, first.identity
+        if identity.issuer != usual.issuer:
+            issuers = f"{identity.issuer!r} issues the certificate of {package.subject}, {usual.issuer!r} that of"
+            message = f"{issuers} {first.subject}: a router and a session with different issuers refuse each other"
+            help_ = f"give both the same issuer_name, as at {usual.origin}"
+            yield Diagnostic.error("zenoh-issuers", message, identity.origin, help_, package.subject)
+        grant, other = package.grant, first.grant
+        if grant.issuer != other.issuer:
+            signers = f"are signed by {grant.issuer!r}, those of {first.subject} by {other.issuer!r}"
+            message = f"the rights of {package.subject} {signers}, but they stand in one file"
+            help_ = f"give both the same issuer_name, as at {other.origin}"
+            yield Diagnostic.error("zenoh-signers", message, grant.origin, help_, package.subject)
 
 
 PROTOCOLS = ("tls",)

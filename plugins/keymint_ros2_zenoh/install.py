@@ -61,8 +61,7 @@ def install_shared(
 
 def _document(content: bytes | None, shown: str, command: str) -> bytes:
     if content is None:
-        raise KeymintError(
-            f"there is no {shown}", where=Origin(shown), help=f"run {command!r}", code="document-missing"
-        )
+        message, help_ = f"there is no {shown}", f"run {command!r}"
+        raise KeymintError(message, where=Origin(shown), help=help_, code="document-missing")
     read(content, shown)
     return content

@@ -62,12 +62,9 @@ def read(content: bytes, name: str) -> Configuration:
             path, document = inner, document[inner[-1]]
         place = "/".join(error.path[1:]) or "the file"
         what = error.message.removeprefix(error.name or "").strip()
-        raise KeymintError(
-            f"{quote(place, 200)} {quote(what, 200)}",
-            where=Origin(name, lines[path]),
-            help="Zenoh refuses it at start",
-            code="zenoh-configuration",
-        ) from None
+        message = f"{quote(place, 200)} {quote(what, 200)}"
+        where, help_ = Origin(name, lines[path]), "Zenoh refuses it at start"
+        raise KeymintError(message, where=where, help=help_, code="zenoh-configuration") from None
     return _Reading(document, lines, name).configuration()
 
 

@@ -257,13 +257,10 @@ def lower_package(package: Package) -> tuple[tuple[AclRule, ...], tuple[Diagnost
     with defects:
         names = name_rules(grant.rules, package.distro)
         if sum(each.last - each.first + 1 for each in grant.domains) > MAX_DOMAINS:
-            raise KeymintError(
-                f"the subject may join more than {MAX_DOMAINS} domains: Zenoh has no ranges of them, so that each one "
-                "repeats all rules",
-                where=grant.domains_origin or grant.origin,
-                help="name the domains that it needs",
-                code="zenoh-domains",
-            )
+            why = "Zenoh has no ranges of them, so that each one repeats all rules"
+            message = f"the subject may join more than {MAX_DOMAINS} domains: {why}"
+            where, help_ = grant.domains_origin or grant.origin, "name the domains that it needs"
+            raise KeymintError(message, where=where, help=help_, code="zenoh-domains")
     defects.require_none()
     ids = domain_ids(grant.domains)
     return (*_rules(names, ids), *_graph(names.subject, ids)), tuple(lower_notes(names))
