@@ -102,7 +102,8 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     listed: list[str] = settings["tool"]["hatch"]["build"]["targets"]["sdist"]["include"]
     for name in ("pyproject.toml", ".gitignore", *(entry.removeprefix("/") for entry in listed)):
         if (CHECKOUT / name).is_dir():
-            shutil.copytree(CHECKOUT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__", ".*_cache"))
+            made = shutil.ignore_patterns("__pycache__", ".*_cache", "generated")  # the last one by 'make docs'
+            shutil.copytree(CHECKOUT / name, folder / name, ignore=made)
         else:
             shutil.copy2(CHECKOUT / name, folder / name)
     return folder
