@@ -103,6 +103,7 @@ class ChannelSearch:
         """Return a shortest path of channels from one of the sources to one of the targets, or None.
 
         Subjects in between are those that the policy names. A subject has no path to itself, only from other sources.
+        A source or target may be a pattern of subjects without a name: no path then proves that there is none.
         """
         goals = set(targets)
         # Two sources suffice: a target that is one of them is also reached from the other one.
@@ -115,7 +116,7 @@ class ChannelSearch:
             for other in everybody:
                 if other == subject or source in reached[other] or len(reached[other]) == most:
                     continue
-                channel = next(self.between(subject, other), None)
+                channel = next(self._channels(subject, other), None)
                 if channel is None:
                     continue
                 if other in goals:
@@ -124,34 +125,11 @@ class ChannelSearch:
                 queue.append((source, other, [*path, channel]))
         return None
 
-    def possible_path(
-        self, writers: Glob, readers: Glob, sources: Sequence[str], targets: Sequence[str]
-    ) -> list[Channel] | None:
-        """Return a possible path whose ends are subjects that the policy does not name; None if there is provably none.
-
-        Subjects in between are those that the policy names.
-
-        Args:
-            writers: pattern of the subjects where it begins.
-            readers: pattern of the subjects where it ends.
-            sources: subjects of the first pattern from which :meth:`path` finds none.
-            targets: those of the second one.
-        """
-        if literal(writers) is not None and literal(readers) is not None:
-            return None
-        if direct := next(self.possible(writers, readers), None):
-            return [direct]
-        named = {each: parse(each) for each in self._policy.subjects()}
-        first = {each: step for each, one in named.items() if (step := next(self.possible(writers, one), None))}
-        last = {each: step for each, one in named.items() if (step := next(self.possible(one, readers), None))}
-        if middle := next((each for each in first if each in last), None):
-            return [first[middle], last[middle]]
-        path = self.path([*sources, *first], [*targets, *last])
-        if path is None:
-            return None
-        begin, end = path[0].writer, path[-1].reader
-        before = [first[begin]] if begin not in sources else []
-        return [*before, *path, *([last[end]] if end not in targets else [])]
+    def _channels(self, writer: str, reader: str) -> Iterator[Channel]:
+        """Yield channels from one subject to another, or possible ones if one is a pattern."""
+        one, other = parse(writer), parse(reader)
+        exact = literal(one) is not None and literal(other) is not None
+        return self.between(writer, reader) if exact else self.possible(one, other)
 
     def between(self, writer: str, reader: str) -> Iterator[Channel]:
         """Yield channels from one subject to another, at most one for each expression of the writer's rules."""

@@ -9,7 +9,6 @@ policy allows to any of these subjects.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import suppress
 from functools import lru_cache
 from operator import itemgetter
 
@@ -256,19 +255,13 @@ def unknown_subject(policy: LoadedPolicy, pattern: Glob) -> str:
 def representatives(policy: LoadedPolicy, pattern: Glob) -> tuple[str, ...]:
     """Return the subjects of :func:`named_subjects`, or if there are none an example for each profile."""
     named = named_subjects(policy, pattern)
-    found = map(example_subject, () if named else _reachable(policy, pattern))
-    return named or tuple(dict.fromkeys(subject for subject in found if subject is not None))
-
-
-def has_unnamed(policy: LoadedPolicy, pattern: Glob) -> bool:
-    """Tell whether a profile applies to subjects of a pattern that the policy does not name."""
-    return any(literal(one) is None for one in _reachable(policy, pattern))
-
-
-def _reachable(policy: LoadedPolicy, pattern: Glob) -> Iterator[Glob]:
-    """Yield patterns of the subjects of a pattern to which a profile applies, but of those that are too complex."""
-    written = policy.structure()
+    written = None if named else policy.structure()
+    examples: dict[str, None] = {}
     for profile in written.profiles if written else ():
-        with suppress(TooComplexError):
-            for piece in intersection(pattern, EVERY):
-                yield from profile_subjects(profile_chain(profile), piece)
+        chain = profile_chain(profile)
+        try:
+            reachable = [one for piece in intersection(pattern, EVERY) for one in profile_subjects(chain, piece)]
+        except TooComplexError:
+            continue
+        examples |= dict.fromkeys(subject for one in reachable if (subject := example_subject(one)) is not None)
+    return named or tuple(examples)

@@ -78,20 +78,13 @@ def _of_all_build_types(found: Iterable[SubjectChanges]) -> dict[str, SubjectCha
     """Return the changes by subject; what documents of several build types say is said once, without a build type."""
     subjects: dict[str, SubjectChanges] = {}
     for each in found:
-        before = subjects.setdefault(each.subject, each)
-        if before is not each:
-            changes = {_content(one): one for one in before.changes}
-            for one in each.changes:
-                same = changes.get(_content(one))
-                changes[_content(one)] = replace(same, build_type="") if same else one
-            ordered = sorted(changes.values(), key=lambda one: not one.gains)
-            subjects[each.subject] = replace(before, after=before.after and each.after, changes=tuple(ordered))
+        before = subjects.get(each.subject, replace(each, changes=()))
+        changes: dict[PermissionChange, PermissionChange] = {}
+        for one in (*before.changes, *each.changes):
+            content = replace(one, where=None, word="", build_type="")
+            changes[content] = replace(changes[content], build_type="") if content in changes else one
+        subjects[each.subject] = replace(before, after=before.after and each.after, changes=tuple(changes.values()))
     return subjects
-
-
-def _content(change: PermissionChange) -> PermissionChange:
-    """Return a change without its place, its example and its build type."""
-    return replace(change, where=None, word="", build_type="")
 
 
 def another_policy(

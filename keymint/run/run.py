@@ -6,8 +6,6 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import itertools
-import json
-import re
 import shlex
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import field, replace
@@ -75,11 +73,10 @@ class Setting:
     who: Callable[[], tuple[str, str]] = lambda: ("", "")
 
 
-_COMMAND = lazy_regex(r"'keymint ([a-z]+)([^']*)'")
-WITHOUT_WORKSPACE = frozenset(
-    {"accept", "completion", "diff", "discover", "explain", "import", "learn", "plugins", "request", "transports"}
-)
+WITHOUT_WORKSPACE = "accept|completion|diff|discover|explain|import|learn|plugins|request|transports"
 """Verbs that take no workspace."""
+_COMMAND = lazy_regex(rf"('keymint (?!(?:{WITHOUT_WORKSPACE})\b)(?![^']* -w )[a-z][^']*)'")
+"""A command in a message whose verb takes a workspace, and that names none."""
 _ExitCodeOf = Callable[[Plan], ExitCode]
 """Returns the exit code of an executed plan."""
 
@@ -159,17 +156,11 @@ class Run:
         message, help_ = diagnostic.message, diagnostic.help
         for folder, name in self.folder_names.items():
             message, help_ = message.replace(folder, name), help_.replace(folder, name)
-        if self._named not in {None, Path()} and "keymint " in message + help_:
-            message, help_ = (_COMMAND.sub(self._with_workspace, text) for text in (message, help_))
+        if self._named not in {None, Path()}:
+            name = shlex.quote(str(self._named)).replace("'", '"')
+            message, help_ = (_COMMAND.sub(lambda found: f"{found[1]} -w {name}'", text) for text in (message, help_))
         where = diagnostic.where and diagnostic.where.with_files(self.typed)
         return replace(diagnostic, message=message, where=where, help=help_)
-
-    def _with_workspace(self, command: re.Match[str]) -> str:
-        """Return a command in a message with the workspace that the user named, if its verb takes one."""
-        if command[1] in WITHOUT_WORKSPACE or " -w " in command[0]:
-            return command[0]
-        name = str(self._named)
-        return f"'keymint {command[1]}{command[2]} -w {name if shlex.quote(name) == name else json.dumps(name)}'"
 
     # -- the workspace -------------------------------------------------------------------------------------------
 

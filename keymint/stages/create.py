@@ -35,17 +35,21 @@ INIT, STAGE = "init", "create"
 _IGNORED = b"# Secrets, and files that Keymint can build again.\n/private/\n/build/\n/install/\n/.keymint/\n"
 
 
-def plan_init(inputs: Inputs, profile_type: str, request: api.Bootstrap, cwd: Path | None = None) -> Plan:
+def plan_init(
+    inputs: Inputs, profile_type: str, request: api.Bootstrap, distro: str | None = None, cwd: Path | None = None
+) -> Plan:
     """Plan the files of a new workspace; existing files are kept.
 
     Args:
         inputs: the workspace.
         profile_type: the plugin that makes the profile.
         request: what the profile has.
+        distro: the distribution that the user named; None if the default is taken.
         cwd: the current folder, for a word to who makes that a workspace.
 
     Raises:
-        KeymintError: no such profile type, distro or layout; or the folder is a keystore of another tool.
+        KeymintError: no such profile type, distro or layout; or the folder is a keystore of another tool, or a
+            workspace whose profile is lost.
     """
     root, place = inputs.workspace.profile, inputs.workspace.root
     if {("enclaves", True), ("public", True)} <= {*inputs.tree.names(place)} and not inputs.workspace.exists():
@@ -54,6 +58,14 @@ def plan_init(inputs: Inputs, profile_type: str, request: api.Bootstrap, cwd: Pa
             help=f"keymint adopt {inputs.workspace.shown(place)} POLICY --apply -w WORKSPACE",
             code="workspace-keystore",
         )  # fmt: skip
+    if inputs.state.stamps and distro is None:  # only the owner knows which it had
+        raise KeymintError(
+            "is missing, but the workspace has packages: it had the distribution, the transports and the layout",
+            where=inputs.workspace.origin(root / PROFILE_MARKER),
+            help="restore it from version control or a backup; or say what it had: --distro NAME, and --transport, "
+            "--layout, --domain and --valid-for unless these were the defaults",
+            code="profile-lost",
+        )
     files = inputs.plugins.profile_type(profile_type).bootstrap(request)
     missing = {path: File(content) for path, content in sorted(files.items()) if inputs.tree.read(root / path) is None}
     folders = by_folder(root, missing)
@@ -65,27 +77,6 @@ def plan_init(inputs: Inputs, profile_type: str, request: api.Bootstrap, cwd: Pa
     changes.append(FolderChange(root, ordered))
     what = f"workspace profile{', in the current folder' if place == cwd else ''}"
     return Plan((Step(INIT, "", Action.CREATED, tuple(changes), what),), inputs.state)
-
-
-def refuse_lost_profile(inputs: Inputs, distro: str | None) -> None:
-    """Refuse to make the profile of a workspace with packages again, unless its owner says for which distribution.
-
-    Args:
-        inputs: the workspace, whose profile is missing.
-        distro: the distribution that was given; None if the default would be taken.
-
-    Raises:
-        KeymintError: it is not given.
-    """
-    if inputs.state.stamps and distro is None:
-        marker = inputs.workspace.profile / PROFILE_MARKER
-        raise KeymintError(
-            "is missing, but the workspace has packages: it had the distribution, the transports and the layout",
-            where=inputs.workspace.origin(marker),
-            help="restore it from version control or a backup; or say what it had: --distro NAME, and --transport, "
-            "--layout, --domain and --valid-for unless these were the defaults",
-            code="profile-lost",
-        )
 
 
 def refuse_unsupported(session: Session) -> None:

@@ -310,9 +310,8 @@ def last_steps(session: Session, changes: EnclaveChanges) -> list[Step]:
         return []
     own = session.enclave(ROOT) if ROOT in there else None  # its files are removed with it
     shared = {install / path for found in shared_copies(session, NO_CHANGES) for path in found}
-    scripts = {install / name for name, _ in tree.names(install) if name.startswith("keystore.")}
     gone = [each for each in shared if tree.has_file(each) and each.parent != own]
-    gone += [each for each in scripts if (tree.try_read(each) or b"").startswith(MARK.encode())]
+    gone += [install / name for name, content in tree.files(install).items() if content.startswith(MARK.encode())]
     removed = tuple(FolderChange(path.parent, removed=(path.name,)) for path in sorted(gone))
     return [Step(INSTALLED, "", Action.REMOVED, removed, "shared by all enclaves; none is left")]
 

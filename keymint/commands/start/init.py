@@ -18,7 +18,7 @@ from keymint.authority.authorities import plan_authorities
 from keymint.command_line.options import DEFAULT_DISTRO, DEFAULT_PROFILE_TYPE, distro_option, valid_for_option
 from keymint.command_line.verb import PATH, Report, Run, argument, option, option_group, path_option, plugin, verb
 from keymint.errors import KeymintError, usage_error
-from keymint.stages.create import plan_init, policy_path, refuse_lost_profile, refuse_unsupported
+from keymint.stages.create import plan_init, policy_path, refuse_unsupported
 from keymint.stages.work import Work
 from keymint.store.changes import Action, Plan, Step
 from keymint.workspace.policy_loading import foreign_policy
@@ -78,10 +78,8 @@ def init(
         raise foreign.refusal(run.typed(str(foreign.path)))
 
     def make_plan(inputs: Inputs) -> Plan:
-        refuse_lost_profile(inputs, profile.distro)
-        work = Work.after(
-            inputs, plan_init(inputs, profile.profile_type or DEFAULT_PROFILE_TYPE, request, run.setting.cwd)
-        )
+        profile_type = profile.profile_type or DEFAULT_PROFILE_TYPE
+        work = Work.after(inputs, plan_init(inputs, profile_type, request, profile.distro, run.setting.cwd))
         refuse_unsupported(work.session)
         return work.then(plan_authorities(work.session)[0]).plan
 

@@ -68,9 +68,8 @@ def provision(
             named = create.plan_policy(before, own)
             work, moved = Work(before).then(named), policy if named.writes() else None
         else:
-            create.refuse_lost_profile(inputs, profile.distro)
-            plugin = profile.profile_type or DEFAULT_PROFILE_TYPE
-            work = Work.after(inputs, create.plan_init(inputs, plugin, bootstrap, run.setting.cwd))
+            kind = profile.profile_type or DEFAULT_PROFILE_TYPE
+            work = Work.after(inputs, create.plan_init(inputs, kind, bootstrap, profile.distro, run.setting.cwd))
             create.refuse_unsupported(work.session)
         work = accept(work, acceptance)
         acquired = lazy_policy(work.session)

@@ -6,13 +6,13 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import product
+from itertools import islice, product
 from pathlib import Path
 from typing import Any
 
 from comarmor.errors import Diagnostic
 from comarmor.patterns.decision_lists import Equal
-from comarmor.patterns.glob import Glob, matches, parse
+from comarmor.patterns.glob import Glob, literal, matches, parse
 from comarmor.patterns.tokens import PatternError
 from comarmor.rules import PERMISSIONS, Effect, of_raw_topic
 from comarmor.text import did_you_mean, first_few, nearest_word, quantity
@@ -20,13 +20,7 @@ from comarmor.values import dataclass
 from keymint.analysis.channels import Channel, ChannelSearch
 from keymint.analysis.query import FORMS, HEADS, PermissionHolder, effective_permissions, who_can
 from keymint.analysis.rule_lists import allow_only, display_name, find_permitted, query_pattern
-from keymint.analysis.subject_patterns import (
-    has_unnamed,
-    representatives,
-    rules_of,
-    unknown_subject,
-    with_distinct_rules,
-)
+from keymint.analysis.subject_patterns import representatives, rules_of, unknown_subject, with_distinct_rules
 from keymint.api import LoadedPolicy
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions, kind_option, policy_options, raw_topic_doubt
@@ -282,7 +276,7 @@ def _what(run: Run, policy: LoadedPolicy, question: _Question) -> _Answer:
         run.console.table(columns | {"PERMISSION": "permission", "OBJECTS": "objects", "RULE": "place"}, shown)
     elif not subjects:
         run.console.line(f"no profile of the policy applies to any subject that {asked} matches")
-    elif has_unnamed(policy, parse(asked)):
+    elif literal(parse(asked)) is None:
         run.console.line(f"unknown: no rule allows {first_few(subjects)} anything, but others like {asked} may")
         return "unknown", {"subjects": subjects, "abilities": ()}
     else:
@@ -301,11 +295,12 @@ def _flows(
         if not found:
             run.console.line(f"no profile of the policy applies to any subject that {expression} matches")
     path = channels.path(sources, targets) if sources and targets else None
-    perhaps = None if path else channels.possible_path(parse(one), parse(other), sources, targets)
-    if perhaps:
-        run.console.line(f"unknown: no flow between named subjects, but others of {one} and {other} may have one")
-        run.console.lines(f"  perhaps: {_step(step)}" for step in perhaps)
-        return "unknown", {"path": None, "perhaps": _as_members(perhaps), "infrastructure": []}
+    if path is None and question.subjects != (*sources, *targets):
+        possible = channels.possible(parse(one), parse(other))
+        if perhaps := [*islice(possible, 1)] or channels.path([one, *sources], [other, *targets]):
+            run.console.line(f"unknown: no flow between named subjects, but others of {one} and {other} may have one")
+            run.console.lines(f"  perhaps: {_step(step)}" for step in perhaps)
+            return "unknown", {"path": None, "perhaps": _as_members(perhaps), "infrastructure": []}
     if path is None:
         apart = channels.infrastructure(product(sources, targets))
         run.console.line(f"no: nothing flows from {one} to {other}{_but_for(channels, apart)}")

@@ -294,6 +294,18 @@ UNNAMED = """<profiles>
     <attachment>/end</attachment>
     <ros_topic qualifier="ALLOW"><attachment>/b</attachment><permissions><ros_subscribe/></permissions></ros_topic>
   </profile>
+  <profile name="others">
+    <attachment>/other/*</attachment>
+    <ros_topic qualifier="ALLOW"><attachment>/b</attachment><permissions><ros_subscribe/></permissions></ros_topic>
+  </profile>
+  <profile name="none">
+    <attachment>/other/none</attachment>
+    <ros_topic qualifier="DENY"><attachment>/b</attachment><permissions><ros_subscribe/></permissions></ros_topic>
+  </profile>
+  <profile name="start">
+    <attachment>/start</attachment>
+    <ros_topic qualifier="ALLOW"><attachment>/a</attachment><permissions><ros_publish/></permissions></ros_topic>
+  </profile>
   <profile name="robots">
     <attachment>/robot*</attachment>
     <ros_topic qualifier="ALLOW">
@@ -314,6 +326,10 @@ UNNAMED = """<profiles>
         ("flows /x/* /hub", "unknown", [("/x/*", "/hub")]),
         ("flows /x/* /end", "unknown", [("/x/*", "/hub"), ("/hub", "/end")]),
         ("flows /x/one /end", "no", []),
+        ("flows /h* /e*", "yes", []),
+        ("flows /hub /other*", "unknown", [("/hub", "/other/*")]),
+        ("flows /robot* /o*", "no", []),
+        ("flows /s* /o*", "unknown", [("/start", "/hub"), ("/hub", "/other/*")]),
         ("flows /end /x/*", "no", []),
         ("what can /x/* do", "unknown", []),
         ("what can /x/one do", "no", []),
