@@ -96,7 +96,7 @@ def examine(session: Session, loaded: LoadedEnclave, keyring: Keyring) -> tuple[
     package = loaded.package
     if package is None:
         return "", "", loaded.unread
-    fingerprint, findings = identity_key(session, package, keyring)
+    fingerprint, findings = _identity_key(session, package, keyring)
     found = (*findings, *_of_files(session, package, loaded))
     known = {(each.code, each.where) for each in found}
     try:
@@ -173,7 +173,7 @@ def _inspections(session: Session, package: Package, files: Mapping[str, bytes],
     return found
 
 
-def identity_key(session: Session, package: Package, keyring: Keyring) -> tuple[str, tuple[Diagnostic, ...]]:
+def _identity_key(session: Session, package: Package, keyring: Keyring) -> tuple[str, tuple[Diagnostic, ...]]:
     """Return the fingerprint of a package's key (empty if it cannot be read), and the findings on it.
 
     Args:

@@ -12,24 +12,18 @@ import click
 from comarmor.errors import Diagnostic, Origin
 from comarmor.text import did_you_mean
 from keymint.analysis.lint.attachment_mistakes import attachment_mistakes
-from keymint.api import BuildOptions, Hint, LoadedPolicy, lazy
+from keymint.api import BuildOptions, Hint, LoadedPolicy
 from keymint.command_line.options import DocumentOptions, Names, document_options, names_group
 from keymint.command_line.verb import Report, Run, flag, verb
 from keymint.errors import KeymintError, usage_error
-from keymint.life.examine import Keyring
 from keymint.names import subject_of
 from keymint.stages.create import UNCREATED, policy_changed, subjects_without_package
-from keymint.stages.identities import is_awaited
-from keymint.stages.install import inputs_of
 from keymint.stages.pipeline import Request, conduct
 from keymint.stages.work import InstallRequest, Work
 from keymint.store.changes import Action, Plan, Step
-from keymint.workspace.installed_enclaves import INSTALLED
 from keymint.workspace.package_build_types import BUILD
 from keymint.workspace.policy_loading import lazy_policy, load_policy
 from keymint.workspace.session import Session
-
-_identity_key = lazy("keymint.examine.check:identity_key")  # 'provision' installs, and needs none
 
 
 @verb(jobs=True, dry_run=True, yes=True)
@@ -69,23 +63,12 @@ def build(
                     subjects_without_package(session, lazy_policy(session), chosen) if chosen and not names else ()
                 )
             yield from unknown_hints(options.hints, document_options.hints, session.packages())
-            yield from () if rekey or force else _keys(session, chosen)
 
         new_keys = frozenset(chosen if rekey and not run.resumes else ())
         asked = InstallRequest(force=force, rekey=new_keys, build=options)
         return conduct(Work(session), Request(chosen, (BUILD,), asked, notes=notes), run.crew).plan
 
     return run.change(make_plan)
-
-
-def _keys(session: Session, names: Iterable[str]) -> Iterator[Diagnostic]:
-    """Yield the findings on keys of installed packages that are not as they were installed: 'install' refuses them."""
-    keyring = Keyring(session)
-    for name in names:
-        stamp = session.state.stamp(INSTALLED, name)
-        if stamp and stamp.inputs != inputs_of(session, name):
-            package = session.package(name)
-            yield from () if is_awaited(package) else _identity_key(session, package, keyring)[1]
 
 
 def no_packages(session: Session) -> Diagnostic:

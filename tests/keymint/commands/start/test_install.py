@@ -6,7 +6,6 @@ from __future__ import annotations
 import json
 import re
 import subprocess
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -168,23 +167,3 @@ def test_a_document_that_cannot_be_signed_is_named_where_it_lies(keymint, provis
     )
     assert outcome.err.splitlines()[0] == f"build/talker/{kind}.xml:1: {message}"
     assert snapshot(provisioned / "install") == before
-
-
-@pytest.mark.parametrize(
-    ("damage", "code"), [("truncated", "key-invalid"), ("of another", "key-replaced"), ("nothing", "")]
-)
-def test_a_key_that_install_would_refuse_is_found_though_nothing_is_to_be_built(
-    keymint: Callable, provisioned: Path, damage: str, code: str
-) -> None:
-    keys = provisioned / "private/identities"
-    own, other = keys / "talker/key.pem", keys / "robot1/listener/key.pem"
-    own.write_bytes(
-        {"truncated": own.read_bytes()[:100], "of another": other.read_bytes()}.get(damage, own.read_bytes())
-    )
-    outcome = keymint("build", "--json", cwd=provisioned)
-    assert (outcome.code, outcome.codes()) == ((1, [code]) if code else (0, []))
-    assert keymint("build", "robot1/listener", cwd=provisioned).code == 0
-    if code:
-        own.unlink()
-        assert keymint("build", "-f", "talker", cwd=provisioned).code == 0
-    assert keymint("build", cwd=provisioned).code == 0
