@@ -34,8 +34,8 @@ SETTINGS: Mapping[str, tuple[str, Collection[str]]] = {
     "within": ("0d", ("check",)),
 }
 """What may be set, by the long name of the option: the built-in default in words, and the verbs (empty for all)."""
-_NO_TEXT = ("jobs", "quiet", "verbose")
-"""What a file sets without quotes."""
+_NO_TEXT = {"jobs": "4", "quiet": "true", "verbose": "1"}
+"""What a file sets without quotes, each with an example."""
 
 
 class Default(NamedTuple):
@@ -91,7 +91,7 @@ def load_defaults(
         for key, given in entries.items():
             where = Origin(path, _line(text, key))
             if key in _NO_TEXT and isinstance(given, str):
-                help_ = f"write {key} = {given.strip() or 'true'}, without quotes"
+                help_ = f"write it without quotes, e.g. {key} = {_NO_TEXT[key]}"
                 message = f"{key}: {quote(given)} is a text"
                 problems.append(Diagnostic.error("default-invalid", message, where, help_))
             elif key in SETTINGS:

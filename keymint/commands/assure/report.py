@@ -20,7 +20,8 @@ import click
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns.glob import Glob, parse
-from comarmor.text import encodable_value, natural_order
+from comarmor.patterns.relations import disjoint
+from comarmor.text import encodable_value, natural_order, quote
 from keymint import __version__
 from keymint.analysis.policy_diff import diff_policies
 from keymint.analysis.symbolic_search import STATES, QueryBudget
@@ -100,7 +101,13 @@ def report(
     written = write_outputs(run, output, content, beside)
     run.console.lines(told_written(run, output, written))
     result = {"file": str(output), "written": written, "report": document}
-    return run.report(result, evidence.unread, findings_if(evidence.unread), workspace=session.workspace)
+    told = []
+    expressions = [parse(each["expression"]) for each in document["rights"] or ()]
+    for text, pattern in zip(safety, patterns, strict=True):
+        if expressions and all(disjoint(pattern, each) for each in expressions):
+            message, help_ = f"no right is about {quote(text)}", "compare the spelling with 'keymint query who can'"
+            told.append(Diagnostic.warning("safety-unmatched", message, help=help_))
+    return run.report(result, [*evidence.unread, *told], findings_if(evidence.unread), workspace=session.workspace)
 
 
 class _Part(Run):

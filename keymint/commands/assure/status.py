@@ -126,7 +126,7 @@ def _log(run: Run) -> Report:
             **each,
             "at": f"{each['at']:%Y-%m-%d %H:%M}Z",
             "who": f"{each['user']}@{each['host']}",
-            "did": f"{', '.join(f'{number} {action}' for action, number in each['steps'].items())}: {each['command']}",
+            "did": ", ".join((each["command"], *(f"{number} {action}" for action, number in each["steps"].items()))),
         }
         for each in runs
     ]

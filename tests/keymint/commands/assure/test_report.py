@@ -225,6 +225,14 @@ def test_an_auditor_without_private_files(provisioned: Path) -> None:
     assert any("private" in each for each in found["not_examined"])
 
 
+def test_a_critical_object_that_no_right_is_about_may_be_a_slip(
+    keymint: Callable[..., Outcome], provisioned: Path
+) -> None:
+    outcome = keymint("report", "-w", "ws", "-o", "audit.html", "--safety", "/chater", "--safety", "/chatter")
+    assert (outcome.code, outcome.err.count("[safety-unmatched]")) == (0, 1)
+    assert "no right is about '/chater'" in outcome.err
+
+
 def test_names_are_text_and_nothing_else(keymint: Callable[..., Outcome], provisioned: Path, tmp_path: Path) -> None:
     policy = tmp_path / "policy.xml"
     hostile = "/a&lt;script&gt;alert(1)&lt;/script&gt;&quot;onload=&#x202E;*"
