@@ -184,7 +184,7 @@ def require_lists_known(session: Session, register: Register) -> None:
     """
     for *_, authority in authority_files.issuers(session):
         revoked = {each.serial for each in register.revoked(issuer_of(authority))}
-        for _, where, found in installed_lists(session, authority):
+        for where, found in installed_lists(session, authority):
             _require_known(session, found, revoked, where)
 
 

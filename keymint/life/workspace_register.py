@@ -7,6 +7,7 @@ import contextlib
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
 from functools import lru_cache
+from itertools import chain
 
 from cryptography import x509
 
@@ -174,14 +175,13 @@ def _restored(session: Session, *, lossy: bool) -> Register:
     gone = frozenset(lost).difference(there) if lossy else ()
     register = register.with_issued(_barred(session, number, name) for number, name in enumerate(sorted(gone), 1))
     for file, name, authority in authority_files.issuers(session):
-        path = session.workspace.revocation_list(file)
-        content = session.tree.read(path) or installed_list(session, authority)
-        if content is None:
-            continue
-        found = revocation_lists.load(content, session.workspace.origin(path))
-        issuer = issuer_of(authority)
-        register = register.with_number(issuer, found.number or 1)
-        for each in found.revocations:
+        path, issuer = session.workspace.revocation_list(file), issuer_of(authority)
+        found = [each for _, each in installed_lists(session, authority)]
+        if content := session.tree.read(path):
+            found.append(revocation_lists.load(content, session.workspace.origin(path)))
+        for number in (each.number for each in found):
+            register = register.with_number(issuer, number or 1)
+        for each in chain.from_iterable(each.revocations for each in found):
             known = register.certificates.get((issuer, each.serial))
             if known is None:
                 known = IssuedCertificate(issuer, each.serial, name, "", 0, each.at, each.at, "")
@@ -216,14 +216,8 @@ def _barred(session: Session, number: int, name: str) -> IssuedCertificate:
     return IssuedCertificate("", number, "", name, own.generation - 1, at, at, key, revoked=at, reason=UNKNOWN)
 
 
-def installed_list(session: Session, authority: x509.Certificate) -> bytes | None:
-    """Return the revocation list of an authority that enclaves have, which is the last one that they got, or None."""
-    found = ((each.number, pem) for pem, _, each in installed_lists(session, authority))
-    return max(found, default=(0, None))[1]
-
-
-def installed_lists(session: Session, authority: x509.Certificate) -> Iterator[tuple[bytes, Origin, RevocationList]]:
-    """Yield the different revocation lists of an authority that enclaves have: PEM, one of its files, and the list."""
+def installed_lists(session: Session, authority: x509.Certificate) -> Iterator[tuple[Origin, RevocationList]]:
+    """Yield the different revocation lists of an authority that enclaves have, each with one of its files."""
     profile, found = session.profile, dict[bytes, str]()
     files = dict(revocation_files(session.build_types.values(), profile.distro, profile.layout, b"list"))
     for name in enclave_names(session):
@@ -233,7 +227,7 @@ def installed_lists(session: Session, authority: x509.Certificate) -> Iterator[t
     for content, path in found.items():
         if not revocation_lists.problem(content, authority):
             where = session.workspace.origin(path)
-            yield content, where, revocation_lists.load(content, where)
+            yield where, revocation_lists.load(content, where)
 
 
 def outdated_register(session: Session, lacks: str) -> KeymintError:

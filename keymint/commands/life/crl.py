@@ -16,7 +16,7 @@ from keymint.command_line.options import validity
 from keymint.command_line.verb import Report, Run, flag, option, verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.life.revocation_lists_in_force import lists, loaded_lists
-from keymint.life.workspace_register import complete_register, installed_list, register_change
+from keymint.life.workspace_register import complete_register, installed_lists, register_change
 from keymint.names import subject_of
 from keymint.output.report import members
 from keymint.stages.pipeline import Request, conduct
@@ -92,7 +92,7 @@ def _shown(run: Run, session: Session, done: Report | None = None) -> Report:
     done = done or run.report(workspace=session.workspace)
     if found:
         run.console.table(columns | of_revoked, [each | one for each in found for one in each["revoked"] or [{}]])
-    elif any(installed_list(session, authority) for *_, authority in issuers(session)):
+    elif any(any(installed_lists(session, authority)) for *_, authority in issuers(session)):
         run.console.line("no revocation list here, but installed enclaves have one")
         where, help_ = session.workspace.origin(session.workspace.public), "restore public/ and private/ from a backup"
         help_ += "; or remove private/register.sqlite3, and 'keymint crl --rebuild' takes over what the enclaves have"

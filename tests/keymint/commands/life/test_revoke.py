@@ -639,3 +639,21 @@ class TestAnOlderRegister:
         assert keymint("build", cwd=restored).code == 0
         refused = keymint("install", "talker", cwd=restored)
         assert (refused.code, "[register-lost]" in refused.err) == (1, True), refused.err
+
+    def test_is_made_again_with_all_lists_though_one_is_older(self, provisioned: Path, keymint) -> None:
+        """The list in the public space is from the backup as well."""
+        assert keymint("revoke", "talker", "--reason", "superseded", cwd=provisioned).code == 0
+        public, register = provisioned / "public/identity_ca.crl.pem", provisioned / "private/register.sqlite3"
+        before = {each: each.read_bytes() for each in (public, register)}
+        (first,) = {each.serial_number for each in crl(public)}
+        assert keymint("revoke", "talker", "--reason", "key-compromise", cwd=provisioned).code == 0
+        latest = {each.serial_number for each in crl(public)}
+        assert first in latest
+        assert len(latest) == 2
+        for path, content in before.items():
+            path.write_bytes(content)
+        register.unlink()
+        assert keymint("crl", "--rebuild", cwd=provisioned).code == 0
+        assert keymint("install", cwd=provisioned).code == 0
+        assert {each.serial_number for each in crl(public)} == latest
+        assert not (provisioned / "install/enclaves/talker").exists()
