@@ -126,6 +126,8 @@ def _keeps_edit(grant: WrittenGrant, now: str, file: str) -> bool:
 
 
 _EMPTY = b"    <identity/>\n"
+_ORIGIN = lazy_regex(rb' origin="[^"]*"')
+"""Where a rule stands: lines move, and the checkout as well."""
 _read_identity_length = Reader("keymint_ros", "identities", validity.length)
 _read_grant_length = Reader("keymint_ros", "permissions", validity.length)
 
@@ -150,7 +152,7 @@ def with_validity(
         path = manifest.path_of("permissions", name, files)
         if _read_grant_length(files[path], f"{name}/{path}") != valid_for:
             base = base_of(profile)
-            if files[path] != permissions.render(rules, base):
+            if _ORIGIN.sub(b"", files[path]) != _ORIGIN.sub(b"", permissions.render(rules, base)):
                 raise _has_own(name, path, valid_for)
             changed[path] = permissions.render(rules, base, overrides=(element,))
     return changed

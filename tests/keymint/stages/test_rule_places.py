@@ -55,3 +55,13 @@ def test_sources_with_other_rules_are_cited_as_they_state_it(keymint, created: P
     assert _line(keymint("build", "-f", cwd=created).err, "/no-name") == before
     policy.unlink()
     assert _line(keymint("build", "-f", cwd=created).err, "/no-name") == before
+
+
+def test_lines_that_moved_are_no_edit_by_hand(keymint, policy: Path, created: Path) -> None:
+    """A checkout that moved has other places as well, and is not edited either."""
+    policy.write_text(policy.read_text().replace("<profiles", "\n\n<profiles", 1))
+    assert keymint("create", "talker", "--valid-for", "30d", cwd=created).code == 0
+    assert "<duration>P30D</duration>" in (created / "src/talker/permissions.xml").read_text()
+    edited = created / "src/robot1/listener/permissions.xml"
+    edited.write_text(edited.read_text().replace("</grant>", "<!-- mine --></grant>"))
+    assert "[hand-edited]" in keymint("create", "robot1/listener", "--valid-for", "30d", cwd=created).err
