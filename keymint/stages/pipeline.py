@@ -364,6 +364,9 @@ def plan_distribution(before: Session, session: Session, omitted: Collection[str
         folder = session.enclave(name)
         build_types = recorded_build_types(session, name)
         possible = {authority: _files(session, build_types, content) for authority, content in in_force.items()}
+        if not any(possible.values()):  # it has no list, and is as current as before there was another one
+            stamps |= _followed(before, session, name, {})
+            continue
         if len(possible) == 1 and not any(_different(session, folder, files) for files in possible.values()):
             continue  # nobody else's list could be in force, so the certificate need not be read
         certificate = installed_certificate(session, name)
@@ -379,13 +382,18 @@ def plan_distribution(before: Session, session: Session, omitted: Collection[str
             where = session.workspace.origin(folder / file)
             require_nothing_lost(session.tree.try_read(f"{folder}/{file}"), item.content, where)
         steps.append(Step(INSTALLED, name, Action.UPDATED, (FolderChange(folder, different),), "revocation list"))
-        stamp = session.state.stamp(INSTALLED, name)
-        if stamp is not None:
-            outputs = {**stamp.outputs, **{file: item.digest for file, item in files.items()}}
-            current = install.is_current(before, name)
-            inputs = install.inputs_of(session, name) if current else None
-            stamps[name] = replace(stamp, outputs=outputs, inputs=inputs or stamp.inputs)
+        stamps |= _followed(before, session, name, files)
     return Plan(tuple(steps), session.state.updated(INSTALLED, stamps))
+
+
+def _followed(before: Session, session: Session, name: str, files: Mapping[str, File]) -> Mapping[str, Stamp]:
+    """Return the stamp of an enclave after its lists changed, by its name; none if it stays, or there is none."""
+    stamp = session.state.stamp(INSTALLED, name)
+    if stamp is None or (not files and stamp.inputs == install.inputs_of(session, name)):
+        return {}
+    outputs = {**stamp.outputs, **{file: item.digest for file, item in files.items()}}
+    inputs = install.inputs_of(session, name) if install.is_current(before, name) else None
+    return {name: replace(stamp, outputs=outputs, inputs=inputs or stamp.inputs)}
 
 
 def _different(session: Session, folder: Path, files: Mapping[str, File]) -> dict[str, File]:

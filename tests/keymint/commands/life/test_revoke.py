@@ -657,3 +657,11 @@ class TestAnOlderRegister:
         assert keymint("install", cwd=provisioned).code == 0
         assert {each.serial_number for each in crl(public)} == latest
         assert not (provisioned / "install/enclaves/talker").exists()
+
+
+@pytest.mark.parametrize("kind", [("--distro", "foxy"), ("--transport", "zenoh"), ("--transport", "dds")])
+def test_an_enclave_that_reads_no_list_is_not_stale_afterwards(keymint, policy: Path, kind: tuple[str, str]) -> None:
+    assert keymint("provision", policy, "-w", "ws", *kind).code == 0
+    assert keymint("revoke", "talker", "--reason", "superseded", "-w", "ws").code == 0
+    status = keymint("status", "-w", "ws", "--json").document["result"]
+    assert [each["stale"] for each in status["packages"] if each["stale"]] == []
