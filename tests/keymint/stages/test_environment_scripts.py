@@ -81,7 +81,7 @@ def test_without_an_enclave_there_are_none(keymint, ws: Path) -> None:
         (ws / "install" / name).unlink()
     shutil.rmtree(ws / "src/talker")
     shutil.rmtree(ws / "src/robot1")
-    assert "2 removed" in keymint("install", "--prune", "-w", "ws").out
+    assert "3 removed" in keymint("install", "--prune", "-w", "ws").out
     assert not scripts(ws)
 
 
