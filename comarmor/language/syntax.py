@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 
 from comarmor.errors import Origin, Reason
 from comarmor.language.attachments import Placeholder, Value, for_parts
@@ -102,7 +101,8 @@ class Inclusion:
         """Yield the rules with all places that include them."""
         for rule in self.rules:
             attachments = tuple(attachment.included(self.chain) for attachment in rule.attachments)
-            yield replace(rule, attachments=attachments, where=rule.where.included(self.chain))
+            place, given = rule.where.included(self.chain), rule.permissions
+            yield ProfileRule(rule.effect, rule.kind, given, attachments, rule.partitions, rule.audit, place)
 
 
 def files(origins: Iterable[Origin]) -> str:

@@ -102,33 +102,35 @@ def _may_serve(lists: _Lists, service: str, subject: str) -> bool:
     topics = DDS_TOPICS["ros_execute"]
     if all(permits(lists[each.action], each.prefix + subject + service + each.suffix) for each in topics):
         return True  # mostly it is that of the subject's own name
-    needed = _servers(lists, (("ros_service", "ros_execute", service),))
+    needed = dict.fromkeys(_servers(lists, (("ros_service", "ros_execute", service),)))
     return not isinstance(difference((), *needed, _NAMES, universe=_ROS, budget=_BUDGET), Equal)
 
 
 def _read_only(lists: _Lists) -> str | None:
     """Return a node whose parameters may be read but not set; None if there is none, or it is too hard to find."""
     first, *others = PARTS["ros_parameter", "ros_read"]
-    if not any(block.allows and block.patterns for block in _servers(lists, (first,))[0]):
+    if not any(block.allows and block.patterns for block in next(_servers(lists, (first,)))):
         return None  # most subjects are no clients of parameters
-    reading = _servers(lists, (first, *others))
-    for needed in _servers(lists, PARTS["ros_parameter", "ros_write"]):
+    reading = tuple(dict.fromkeys(_servers(lists, (first, *others))))
+    for needed in dict.fromkeys(_servers(lists, PARTS["ros_parameter", "ros_write"])):
         found = Equal() if needed in reading else escapes((*reading, _NAMES), needed, _ROS, _BUDGET)
         if isinstance(found, Witness):
             return found.word
     return None
 
 
-def _servers(lists: _Lists, services: Iterable[tuple[str, str, str]]) -> tuple[DecisionList, ...]:
-    """Return lists that together permit the nodes on all of whose services a subject has a permission.
+def _servers(lists: _Lists, services: Iterable[tuple[str, str, str]]) -> Iterator[DecisionList]:
+    """Yield lists that together permit the nodes on all of whose services a subject has a permission.
+
+    Most are equal: the rules of parameters are about all their services.
 
     Args:
         lists: the DDS topics that it may use.
         services: kind, permission and name of each service, as in :data:`comarmor.rules.PARTS`.
     """
-    topics = ((topic, service) for _, permission, service in services for topic in DDS_TOPICS[permission])
-    needed = (_stripped(lists[topic.action], topic.prefix, name + topic.suffix) for topic, name in topics)
-    return tuple(dict.fromkeys(needed))  # most are equal: the rules of parameters are about all their services
+    for _, permission, name in services:
+        for topic in DDS_TOPICS[permission]:
+            yield _stripped(lists[topic.action], topic.prefix, name + topic.suffix)
 
 
 def _stripped(decisions: DecisionList, start: str, end: str) -> DecisionList:
