@@ -168,14 +168,10 @@ def _compared(cls: type, counts: Callable[[Field[Any]], bool] = operator.attrget
     return operator.attrgetter(*names) if names else lambda _self: ()
 
 
-def _comparing(compare: Callable[[Any, Any], Any]) -> Callable[[type], Callable[[Any, object], Any]]:
-    """Return what makes the method of a class that compares the values of two objects."""
-
-    def make(cls: type) -> Callable[[Any, object], Any]:
-        values = _compared(cls)
-        return lambda self, other: compare(values(self), values(other)) if type(other) is type(self) else NotImplemented
-
-    return make
+def _comparing(compare: Callable[[Any, Any], Any], cls: type) -> Callable[[Any, object], Any]:
+    """Return the method of a class that compares the values of two objects."""
+    values = _compared(cls)
+    return lambda self, other: compare(values(self), values(other)) if type(other) is type(self) else NotImplemented
 
 
 def _hash(cls: type) -> Callable[[Any], int]:
@@ -207,7 +203,8 @@ def _made_later(**makers: Callable[[Any], Any]) -> dict[str, Any]:
 
 
 _ANY = {"__repr__": _repr} | _made_later(init=_first_init, dataclass_fields=_known_fields)
-_EQUAL = _made_later(eq=_comparing(operator.eq), hash=_hash)
-_ORDERED = _made_later(lt=_comparing(operator.lt), le=_comparing(operator.le))  # Python asks the other one for > and >=
+_EQUAL = _made_later(eq=partial(_comparing, operator.eq), hash=_hash)
+# Python asks the other operand for > and >=.
+_ORDERED = _made_later(lt=partial(_comparing, operator.lt), le=partial(_comparing, operator.le))
 _FROZEN = {"__setattr__": _refuse, "__delattr__": _refuse, "__getstate__": _state, "__setstate__": _set_state}
 """What a class gets, by the options of its decorator."""

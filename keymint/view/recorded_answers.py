@@ -125,8 +125,7 @@ def recall(call: Call) -> Answer | None:
     root = _root(call)
     recorded, listing = _recorded(call, root) if root is not None else (None, b"")
     if (
-        root is None
-        or recorded is None
+        recorded is None
         or not recorded["is_certain"]
         or os.path.lexists(f"{root}/{_RECORDS}/{_MARK}")
         or any(path_status(path)[0] != status for path, status in recorded["status"].items())
@@ -136,7 +135,7 @@ def recall(call: Call) -> Answer | None:
     # A folder that is new below a known one has changed that one.
     new = walk(space for space in recorded["spaces"] if not any(space in digests for _, _, digests in alike))
     known = ((folder, digest, files) for files, _, digests in alike for folder, digest in digests.items())
-    if not alike or new or not all(_unchanged(known, root)):
+    if not alike or new or not all(_unchanged(known, root or "")):
         return None
     return Answer(recorded["out"], recorded["err"], recorded["exit_code"])
 
