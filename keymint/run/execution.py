@@ -22,7 +22,7 @@ import os
 import pickle
 import threading
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from datetime import datetime
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -40,7 +40,7 @@ from keymint.store.file_writing import c_function
 from keymint.store.journal import Journal
 from keymint.store.staged import Exchange
 from keymint.store.store import Store, clock
-from keymint.view.recorded_answers import Answer, Call, Sight, is_recordable, name_of, record
+from keymint.view.recorded_answers import Answer, Call, FolderStatus, Sight, is_recordable, name_of, record
 from keymint.view.stamps import CompactMapping, digest
 from keymint.view.tree import Tree
 from keymint.workspace.package_build_types import BUILD, may_share
@@ -72,6 +72,7 @@ class Workers(Crew):
     def __init__(self, count: int, monotonic: Callable[[], float]) -> None:
         self._count = count
         self.monotonic = monotonic
+        self._have_staged = False
         self._processes: list[Any] = []
         self._pipes: list[Connection] = []
 
@@ -92,8 +93,7 @@ class Workers(Crew):
         with contextlib.suppress(KeymintError):
             for _ in _plan(session, names[:1], stages, self.new):
                 pass
-        if trim := c_function("malloc_trim"):  # the processes inherit what the parsed policy took and is free
-            trim(0)
+        _trim()  # the processes inherit what the parsed policy took and is free
         context = multiprocessing.get_context("fork")
         for part in parts:
             here, there = context.Pipe()
@@ -114,11 +114,12 @@ class Workers(Crew):
         """Let the processes stage what they planned, and return it in the order of stages.
 
         Args:
-            store: discards what some staged if others fail; it receives the status of their new folders.
+            store: discards what some staged if others fail.
 
         Raises:
             KeymintError: the system refuses a write; what others staged is discarded.
         """
+        self._have_staged = True
         for pipe in self._pipes:
             with contextlib.suppress(OSError):  # the process ended, which its missing answer tells
                 pipe.send(None)
@@ -126,16 +127,22 @@ class Workers(Crew):
         errors: list[KeymintError] = []
         for pipe in self._pipes:
             try:
-                for staged, seen in _answers(pipe):
-                    by_process.append(staged)
-                    store.seen |= seen
+                by_process += _answers(pipe)
             except KeymintError as error:
                 errors.append(error)
         if errors:
-            for of_stage in itertools.chain(*by_process):
-                store.discard(of_stage)
+            for staged in itertools.chain(*by_process):
+                store.discard(staged)
             raise errors[0]
         return [each for of_stage in zip(*by_process, strict=True) for staged in of_stage for each in staged]
+
+    def seen(self) -> Mapping[str, FolderStatus]:
+        """Return the status of the new folders that the processes staged; it takes memory, so it is asked late."""
+        if not self._have_staged:
+            return {}
+        with contextlib.suppress(KeymintError):  # a process ended: then the folders are looked at again
+            return dict(item for pipe in self._pipes for part in _answers(pipe) for item in part)
+        return {}
 
     def give_up(self) -> None:
         """End all processes, and start no others: the caller's process plans everything."""
@@ -151,6 +158,12 @@ class Workers(Crew):
             process.join()
         self._processes.clear()
         self._pipes.clear()
+
+
+def _trim() -> None:
+    """Give memory that is free back to the system, which the library keeps for later."""
+    if trim := c_function("malloc_trim"):
+        trim(0)
 
 
 def _parts(names: Sequence[str], count: int) -> list[list[str]]:
@@ -251,7 +264,8 @@ def _work(
             pipe.recv()
             store = open_store(session.workspace)
             staged = [[each for part in of_stage for each in store.stage(part)] for of_stage in changes]
-            pipe.send_bytes(_pickled(_DONE, (staged, store.seen)))
+            pipe.send_bytes(_pickled(_DONE, staged))
+            pipe.send_bytes(_pickled(_DONE, [*store.seen.items()]))
         except KeymintError as error:
             pipe.send_bytes(_pickled(_REFUSED, error.diagnostics, error.exit_code))
         except Exception as error:  # noqa: BLE001 - the parent reports it
@@ -417,6 +431,7 @@ def _staged(
     try:
         staged += store.stage(others.changes())
         staged += workers.stage(store)
+        _trim()  # the record of a large fleet takes memory, too
         staged += store.stage((*removals.changes(), *record()))
     except BaseException:
         store.discard(staged)

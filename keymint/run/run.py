@@ -382,7 +382,7 @@ class Run:
             )
 
             def look() -> Sight | None:
-                return sight.after(names, visible, clock(workspace.state, written), store.seen)
+                return sight.after(names, visible, clock(workspace.state, written), {**store.seen, **self.crew.seen()})
 
             remember(self.setting.call, inputs, plan, self.presented(report), look, store, self.console)
             store.end()

@@ -161,8 +161,10 @@ class State:
             for at in range(0, len(names), _AT_ONCE):
                 rows = _json({name: row(of_stage[name]) for name in names[at : at + _AT_ONCE]})
                 body.write(f"{',' if at else ''}{rows[1:-1]}".encode())
-        end = "}" if self.stamps else ""
-        body.write(f'{end}}},"shapes":{_json([*shapes])},"texts":{_json([*texts])},"version":{VERSION}'.encode())
+        body.write(f'{"}" if self.stamps else ""}}},"shapes":{_json([*shapes])},"texts":['.encode())
+        for number, text in enumerate(texts):
+            body.write(f"{',' if number else ''}{_json(text)}".encode())
+        body.write(f'],"version":{VERSION}'.encode())
         return _sealed(body)
 
 

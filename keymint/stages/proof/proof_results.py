@@ -273,21 +273,40 @@ def dump_proof(
     return {_CLAIMS: dump_claims(tuple(claims)), RULES: placeless_digest(rules), _TERMS: f"[{','.join(rows)}]"}
 
 
-def outputs_like(
-    outputs: Mapping[str, str], rules: SubjectRules, values: Sequence[str], own: Sequence[str]
-) -> Mapping[str, str]:
-    """Return the outputs of a stamp with the same claims, whose documents are in force at the same times.
+class OutputsLike(Mapping[str, str]):
+    """The outputs of a stamp with the same claims as another one, and documents in force at the same times.
+
+    They take little memory: the text about these times is made when it is asked for.
 
     Args:
-        outputs: the outputs of the other one.
-        rules: the rules of the policy that the claims are about.
-        values: values of the other package, which the texts of these outputs have.
-        own: those in their place.
+        like: the outputs of the other one.
+        own: those that differ in more than values.
+        values: values of the other package, which the text has.
+        others: those in their place.
     """
-    names = dict(zip(values, own, strict=False))
-    found = re.compile("|".join(map(re.escape, sorted(names, key=len, reverse=True))))
-    terms = found.sub(lambda value: names[value[0]], outputs[_TERMS])
-    return {_CLAIMS: outputs[_CLAIMS], RULES: placeless_digest((rules,)), _TERMS: terms}
+
+    __slots__ = ("_like", "_others", "_own", "_values")
+
+    def __init__(
+        self, like: Mapping[str, str], own: Mapping[str, str], values: tuple[str, ...], others: tuple[str, ...]
+    ) -> None:
+        self._like, self._own, self._values, self._others = like, own, values, others
+
+    def __getitem__(self, key: str) -> str:
+        if key != _TERMS:
+            return self._own.get(key) or self._like[key]
+        names = dict(zip(self._values, self._others, strict=False))
+        found = re.compile("|".join(map(re.escape, sorted(names, key=len, reverse=True))) or "(?!)")
+        return found.sub(lambda value: names[value[0]], self._like[_TERMS])
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._like)
+
+    def __len__(self) -> int:
+        return len(self._like)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return type(self), (self._like, self._own, self._values, self._others)
 
 
 # The authorities of all enclaves are the same.

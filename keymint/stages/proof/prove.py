@@ -28,7 +28,7 @@ from keymint.stages.proof import proof_results
 from keymint.stages.proof.proof_results import EnclaveProof, ProofEffort, ProofResults
 from keymint.stages.proof.trust_anchors import anchors_of, shared_anchors, unread_of
 from keymint.stages.work import NewPackage, PackageStage
-from keymint.view.stamps import Stamp, digest, digest_files
+from keymint.view.stamps import CompactMapping, Stamp, digest, digest_files
 from keymint.workspace import package_build_types
 from keymint.workspace.installed_enclaves import enclave_digests, enclave_files, not_installed
 from keymint.workspace.package_build_types import SHARED
@@ -182,34 +182,41 @@ class ProofStage(PackageStage):
         if form and new.form and is_of_policy and _differing(form[1], own) == form[2]:
             first, values, _ = form
             if new.form.holds(new, trusted_chains(session)):
-                outputs = proof_results.outputs_like(first.stamp.outputs, new.rules, values, own)
-                stamp = self._stamp(inputs, outputs, new.written and digest(new.written), build_types)
+                outputs = self._outputs_like(first, new, (values, own))
+                stamp = Stamp(inputs, outputs, context=self._policy_digest, build_types=build_types)
                 return EnclaveProof(new.name, new.package.subject, first.claims, build_types=build_types, stamp=stamp)
         proof = self.package(new.name)
         if new.form is None and proof.stamp:
-            new.forms.learn(STAGE, new.kind, (proof, own, new.rules), self._form)
+            new.forms.learn(STAGE, new.kind, (proof, own, new), self._form)
         return proof
 
     def _form(
         self,
-        one: tuple[EnclaveProof, tuple[str, ...], SubjectRules],
-        other: tuple[EnclaveProof, tuple[str, ...], SubjectRules],
+        one: tuple[EnclaveProof, tuple[str, ...], NewPackage],
+        other: tuple[EnclaveProof, tuple[str, ...], NewPackage],
     ) -> tuple[EnclaveProof, tuple[str, ...], tuple[bool, ...]] | None:
         """Return a proof whose record tells that of all enclaves of a kind, with its values and which of them differ.
 
         None if it does not.
 
         Args:
-            one: the proof of an enclave, the values of its package, and the rules.
+            one: the proof of an enclave, the values of its package, and the package.
             other: those of another one.
         """
-        (first, values, _), (second, others, rules) = one, other
+        (first, values, _), (second, others, new) = one, other
         if not first.stamp or not second.stamp or first.claims != second.claims:
             return None
-        outputs = proof_results.outputs_like(first.stamp.outputs, rules, values, others)
+        is_same = self._outputs_like(first, new, (values, others)) == second.stamp.outputs
         is_in_force = not any(terms.findings((*first.terms, *second.terms), self._session.now))
-        is_same = outputs.items() <= second.stamp.outputs.items()
         return (first, values, _differing(values, others)) if is_same and is_in_force else None
+
+    def _outputs_like(
+        self, first: EnclaveProof, new: NewPackage, values: tuple[tuple[str, ...], tuple[str, ...]]
+    ) -> Mapping[str, str]:
+        """Return the record of a proof that is that of another one, but for the rules and the values of a package."""
+        written = {proof_results.WRITTEN: digest(new.written)} if new.written else {}
+        own = CompactMapping.of({proof_results.RULES: proof_results.placeless_digest((new.rules,)), **written})
+        return proof_results.OutputsLike(first.stamp.outputs if first.stamp else {}, own, *values)
 
     def _across(self, name: str, names: Sequence[str]) -> EnclaveProof:
         """Prove the claims across the subjects of some packages of a build type, unless these are on record."""
@@ -265,13 +272,10 @@ class ProofStage(PackageStage):
         if proof.diagnostics or any(claim.proof is not api.Proof.PROVEN for claim in proof.claims):
             return replace(proof, build_types=build_types, refuted=True)
         outputs = proof_results.dump_proof(proof.claims, proof.terms, rules, folder)
-        stamp = self._stamp(inputs, outputs, self._written(each.subject for each in rules), build_types)
+        if written := self._written(each.subject for each in rules):
+            outputs = {**outputs, proof_results.WRITTEN: written}
+        stamp = Stamp(inputs, CompactMapping.of(outputs), context=self._policy_digest, build_types=build_types)
         return replace(proof, build_types=build_types, stamp=stamp)
-
-    def _stamp(self, inputs: str, outputs: Mapping[str, str], written: str, build_types: tuple[str, ...]) -> Stamp:
-        """Return the record of a proof; ``written`` is what :meth:`_written` returns for its subjects."""
-        outputs = {**outputs, proof_results.WRITTEN: written} if written else outputs
-        return Stamp(inputs, outputs, context=self._policy_digest, build_types=build_types)
 
     def _same_rules(self, stamp: Stamp, subjects: Iterable[str]) -> bool:
         """Tell whether the policy has the same rules for some subjects as when the stamp was made."""
