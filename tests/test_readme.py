@@ -84,4 +84,6 @@ def links(page: Path) -> Iterator[str]:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: os.path.relpath(page, CHECKOUT))
 def test_every_link_leads_to_a_file(page: Path) -> None:
-    assert [link for link in links(page) if not (page.parent / link).exists()] == []
+    """The build of the site checks links to its generated pages, which are not in the repository."""
+    written = [link for link in links(page) if "reference/generated/" not in link]
+    assert [link for link in written if not (page.parent / link).exists()] == []

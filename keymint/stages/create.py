@@ -52,13 +52,14 @@ def plan_init(
             workspace whose profile is lost.
     """
     root, place = inputs.workspace.profile, inputs.workspace.root
-    if {("enclaves", True), ("public", True)} <= {*inputs.tree.names(place)} and not inputs.workspace.exists():
+    is_new = not inputs.workspace.exists()  # else an interrupted run has just been finished
+    if is_new and {("enclaves", True), ("public", True)} <= {*inputs.tree.names(place)}:
         raise KeymintError(
             "is a keystore of 'ros2 security', and no workspace", where=inputs.workspace.origin(place),
             help=f"keymint adopt {inputs.workspace.shown(place)} POLICY --apply -w WORKSPACE",
             code="workspace-keystore",
         )  # fmt: skip
-    if inputs.state.stamps and distro is None:  # only the owner knows which it had
+    if is_new and inputs.state.stamps and distro is None:  # only the owner knows which it had
         raise KeymintError(
             "is missing, but the workspace has packages: it had the distribution, the transports and the layout",
             where=inputs.workspace.origin(root / PROFILE_MARKER),
