@@ -25,6 +25,7 @@ import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from datetime import datetime
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from keymint.authority.authorities import STAGE as AUTHORITIES
@@ -41,7 +42,7 @@ from keymint.store.journal import Journal
 from keymint.store.staged import Exchange
 from keymint.store.store import Store, clock
 from keymint.view.recorded_answers import Answer, Call, FolderStatus, Sight, is_recordable, name_of, record
-from keymint.view.stamps import CompactMapping, digest
+from keymint.view.stamps import digest
 from keymint.view.tree import Tree
 from keymint.workspace.package_build_types import BUILD, may_share
 from keymint.workspace.policy_loading import recorded_files
@@ -181,14 +182,15 @@ def _parts(names: Sequence[str], count: int) -> list[list[str]]:
 class _Pickler(pickle.Pickler):
     """Pickles frozen data by the arguments of its constructor, which is faster than field by field."""
 
-    _fields: ClassVar[dict[type, list[str]]] = {}
+    _values: ClassVar[dict[type, Callable[[object], Any] | None]] = {}
 
     def reducer_override(self, given: object) -> Any:
         kind = type(given)
-        if kind not in self._fields:
-            self._fields[kind] = [each.name for each in fields(kind) if each.init] if is_dataclass(kind) else []
-        names = self._fields[kind]
-        return (kind, tuple([getattr(given, name) for name in names])) if names else NotImplemented
+        if kind not in self._values:
+            names = [each.name for each in fields(kind) if each.init] if is_dataclass(kind) else []
+            self._values[kind] = attrgetter(*names) if len(names) > 1 else None  # of one it returns no tuple
+        values = self._values[kind]
+        return (kind, values(given)) if values else NotImplemented
 
 
 def _pickled(*answer: object) -> memoryview:
@@ -329,10 +331,11 @@ def _plan(
 def _without_bytes(plan: PackagePlan) -> PackagePlan:
     if plan.step is None or not plan.step.changes:
         return plan
-    step = replace(plan.step, changes=tuple(each.held_elsewhere() for each in plan.step.changes))
-    return replace(
-        plan, step=step, stamp=plan.stamp and replace(plan.stamp, outputs=CompactMapping.of(plan.stamp.outputs))
-    )
+    step, stamp = plan.step.held_elsewhere(), plan.stamp and plan.stamp.compact()
+    return PackagePlan(
+        plan.name, step, stamp, plan.diagnostics, plan.errors, plan.fingerprint, plan.lifetimes, plan.build_types,
+        plan.artifacts, plan.outdated, plan.issued, plan.signed, plan.rights, plan.withdrawn,
+    )  # fmt: skip
 
 
 # -- carrying out ----------------------------------------------------------------------------------------------------

@@ -92,7 +92,9 @@ class BuildStage(PackageStage):
         change = FolderChange(f"{workspace.build}/{name}", new.documents)
         sizes = _sizes(built, dict(sorted(built.plain_sizes.items())))
         step = Step(STAGE, name, Action.CREATED, (new.key, change), *sizes)
-        stamp, own = _stamp(session, new.inputs, new.documents, _context(options), package)
+        known = new.forms.of(STAGE, new.kind)
+        stamp, own = _stamp(session, new.inputs, new.documents, _context(options), package, known=known)
+        new.forms.learn(STAGE, new.kind, (own, stamp.lifetimes), lambda one, other: one if one == other else None)
         new.built = PackagePlan(name, step, stamp, built.diagnostics, fingerprint=fingerprint, lifetimes=own)
         return new.built
 
@@ -236,11 +238,28 @@ def _sizes(built: BuildResult, plain: Mapping[str, int]) -> tuple[str, tuple[Doc
 
 
 def _stamp(
-    session: Session, inputs: str, files: Mapping[str, File], context: str, package: Package | None, shared: str = ""
+    session: Session,
+    inputs: str,
+    files: Mapping[str, File],
+    context: str,
+    package: Package | None,
+    shared: str = "",
+    known: tuple[tuple[Term, ...], str] | None = None,
 ) -> tuple[Stamp, tuple[Term, ...]]:
-    """Return the record of some documents, and when they are in force; ``shared`` is the build type of shared ones."""
-    own, build_types = (terms.lifetimes(package), package.build_types) if package else ((), (shared,))
-    lifetimes = terms.dump(own, session.workspace) if package else ""
+    """Return the record of some documents, and when they are in force.
+
+    Args:
+        session: the workspace and its profile.
+        inputs: the digest of all that they are made from.
+        files: the documents.
+        context: the digest of the options.
+        package: the package; None for shared documents.
+        shared: the build type of these.
+        known: when they are in force, if that is known, and this as the record has it.
+    """
+    build_types = package.build_types if package else (shared,)
+    own = known[0] if known else terms.lifetimes(package) if package else ()
+    lifetimes = known[1] if known else terms.dump(own, session.workspace) if package else ""
     outputs = {file: new.digest for file, new in files.items()}
     return Stamp(inputs, outputs, context=context, lifetimes=lifetimes, build_types=build_types), own
 

@@ -136,6 +136,11 @@ class Step:
     detail: str = ""
     sizes: tuple[DocumentSize, ...] = ()
 
+    def held_elsewhere(self) -> Step:
+        """Return this step without the content of its files, as :meth:`FolderChange.held_elsewhere`."""
+        changes = tuple([each.held_elsewhere() for each in self.changes])
+        return Step(self.stage, self.package, self.action, changes, self.detail, self.sizes)
+
     def writes(self) -> bool:
         """Tell whether anything is written."""
         return any(change.written or change.removed for change in self.changes)

@@ -108,6 +108,11 @@ class Stamp:
     lifetimes: str = ""
     build_types: tuple[str, ...] = ()
 
+    def compact(self) -> Stamp:
+        """Return the same stamp, which takes little memory."""
+        outputs = CompactMapping.of(self.outputs)
+        return Stamp(self.inputs, outputs, self.secret, self.context, self.lifetimes, self.build_types)
+
 
 @dataclass(frozen=True, slots=True)
 class State:

@@ -7,20 +7,23 @@ import json
 import random
 import shutil
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+from keymint_ros import RosPackageType
+from keymint_ros.package_reader import load, load_like
 
 from comarmor.errors import Origin
-from keymint.api import KeySpec
+from keymint.api import KeySpec, Package
 from keymint.life.register import loaded_register
 from keymint.pki import keys
 from keymint.stages.create import CreateStage
 from keymint.stages.enclave_forms import EnclaveForm
 from keymint.stages.work import NewPackage, NewPackages, PackagePlan
-from keymint.view.stamps import Stamp, State, load
+from keymint.view.stamps import Stamp, State
+from keymint.view.stamps import load as load_record
 from tests.conftest import Outcome, snapshot
 from tests.effort import tries
 from tests.keymint.stages.keystores import another_key
@@ -98,7 +101,7 @@ def same_files(one: Path, other: Path) -> None:
 
 def record(workspace: Path) -> State:
     """Return the record of a workspace."""
-    return load((workspace / ".keymint/state.json").read_bytes())
+    return load_record((workspace / ".keymint/state.json").read_bytes())
 
 
 def without_random(stamp: Stamp) -> Stamp:
@@ -212,6 +215,32 @@ def test_a_revoked_package_is_planned_one_by_one(keymint: Keymint, tmp_path: Pat
     planned.clear()
     keymint("provision", "p.xml", "-w", "ws")
     assert planned == []
+
+
+def test_a_package_that_is_made_from_another_one_is_as_it_is_read(
+    keymint: Keymint, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    others, names = list[Any](), list[str]()
+
+    def loaded(*arguments: Any, **options: Any) -> Any:
+        others[:] = arguments[4:]
+        return load(*arguments, **options)
+
+    def made(profile: Any, like: Any, sources: Any, name: str, folder: str, files: Any) -> Any:
+        found = load_like(profile, like, sources, name, folder, files)
+        if found is None:  # the first one
+            return None
+        read = load(profile, name, folder, files, *others)
+        for each in fields(Package):
+            assert getattr(found, each.name) == getattr(read, each.name), each.name
+        names.append(name)
+        return found
+
+    monkeypatch.setattr(RosPackageType, "load", staticmethod(loaded))
+    monkeypatch.setattr(RosPackageType, "load_like", staticmethod(made))
+    (tmp_path / "p.xml").write_text(policy(SIZE, random.Random(0)))
+    assert keymint("provision", "p.xml", "-w", "ws").code == 0
+    assert len(names) == SIZE
 
 
 def other_key(content: bytes) -> bytes:
