@@ -274,7 +274,9 @@ def load_like(
         return None
     values = certificate.placeholder_values(rules.subject)
     own_identity, own_grant = (certificate.expanded_name(each, values) for each in patterns)
-    place = Origin(f"{folder}/{_IDENTITIES}", identity.origin.line)
+    place = identity.origin  # in the defaults, unless the package itself says something
+    if place.file.endswith(f"/{like.name}/{_IDENTITIES}"):
+        place = Origin(f"{folder}/{_IDENTITIES}", place.line)
     spec = CertificateSpec(
         own_identity, identity.validity, identity.serial, identity.issuer, identity.hash_algorithm, identity.key,
         identity.extensions, place,
