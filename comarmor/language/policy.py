@@ -207,6 +207,8 @@ class Policy:
     unused_tunables: tuple[Tunable, ...] = ()
     shipped: tuple[ShippedFile, ...] = ()
     _level: _ProfileLookup = field(init=False, repr=False)
+    _last: dict[str, tuple[Profile, ...]] = field(init=False, repr=False, default_factory=dict)
+    """The profiles that apply to the last subject: several questions about one follow each other."""
     _cached_rules: dict[str, tuple[Rule, ...]] = field(init=False, repr=False, default_factory=dict)
     _rows: dict[str, dict[tuple[str, str], Row]] = field(init=False, repr=False, default_factory=dict)
     _shared_rules: dict[int, Rule] = field(init=False, repr=False, default_factory=dict)
@@ -224,7 +226,12 @@ class Policy:
         Args:
             subject: any text; ROS 2 enclaves and nodes are named like ``/robot1/talker``.
         """
-        return tuple(self._level.applicable(subject))
+        found = self._last.get(subject)
+        if found is None:
+            found = tuple(self._level.applicable(subject))
+            self._last.clear()
+            self._last[subject] = found
+        return found
 
     def rules(self, subject: str) -> tuple[Rule, ...]:
         """Return the rules of all profiles that apply to a subject, expanded for it."""

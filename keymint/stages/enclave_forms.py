@@ -203,6 +203,6 @@ def _own(name: str, new: NewPackage, authorities: Authorities) -> OwnFile | None
     except (KeymintError, ValueError):
         return None
     document = names.get(signed.content, "")
-    signers = (each for each, of in authorities.items() if cms.identity_of(of.certificate)[0] == certificate)
+    signer = next((each for each, of in authorities.items() if cms.identity_of(of.certificate)[0] == certificate), "")
     is_written_so = smime.wrap(signed.content, signed.signature) == file.content
-    return OwnFile(Part.SIGNED, document, next(signers, "")) if document and is_written_so else None
+    return OwnFile(Part.SIGNED, document, signer) if document and signer and is_written_so else None
