@@ -54,6 +54,8 @@ if TYPE_CHECKING:
 
 MIN_PACKAGES = 64
 """Packages from which on processes are worth their start."""
+FIRST = 8
+"""Packages that are planned before the processes start, which begin with what was learned of their kinds."""
 MOST_PACKAGES = 512
 """About how many packages a process has in full."""
 
@@ -90,9 +92,9 @@ class Workers(Crew):
             return
         import multiprocessing  # noqa: PLC0415 - takes 20 ms, and few runs need it
 
-        # What the first package needs is imported, compiled and proven once for all processes.
+        # What the first packages need is imported, compiled and proven once for all processes.
         with contextlib.suppress(KeymintError):
-            for _ in _plan(session, names[:1], stages, self.new):
+            for _ in _plan(session, names[:FIRST], stages, self.new):
                 pass
         _trim()  # the processes inherit what the parsed policy took and is free
         context = multiprocessing.get_context("fork")

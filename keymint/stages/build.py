@@ -94,7 +94,7 @@ class BuildStage(PackageStage):
         step = Step(STAGE, name, Action.CREATED, (new.key, change), *sizes)
         known = new.forms.of(STAGE, new.kind)
         stamp, own = _stamp(session, new.inputs, new.documents, _context(options), package, known=known)
-        new.forms.learn(STAGE, new.kind, (own, stamp.lifetimes), lambda one, other: one if one == other else None)
+        new.forms.learn(STAGE, new, (own, stamp.lifetimes), lambda one, other: one if one == other else None)
         new.built = PackagePlan(name, step, stamp, built.diagnostics, fingerprint=fingerprint, lifetimes=own)
         return new.built
 

@@ -58,12 +58,14 @@ class EnclaveForm:
         issued: the entry of a member in the register, without what is its own.
         rights: the signed documents that are entered there: the name of each, and its end.
         parts: what the certificates have in common.
+        documents: the unsigned documents that all have.
     """
 
     files: Mapping[str, File | OwnFile]
     issued: IssuedCertificate
     rights: tuple[tuple[str, datetime], ...]
     parts: CommonParts
+    documents: Mapping[str, File]
 
     def fill(
         self, new: NewPackage, authorities: Authorities, now: datetime
@@ -117,6 +119,8 @@ class EnclaveForm:
         subject = distinguished_names.parse(identity.subject_name, identity.origin)
         public = keys.public_der_of_file(new.files[key].content)
         issuer = certificates.load_bundle(chains[identity.issuer])[0]
+        if any(new.documents.get(name) != document for name, document in self.documents.items()):
+            return False
         for name, file in self.files.items():
             content = new.files[name].content
             document = new.documents[file.document].content if isinstance(file, OwnFile) and file.document else b""
@@ -164,7 +168,8 @@ def common_form(one: _Enclave, other: _Enclave, authorities: Authorities) -> Enc
     parts, rights = _parts(one[0]), _rights(one)
     if parts is None or not parts.is_same(_parts(other[0])) or rights is None or rights != _rights(other):
         return None
-    return EnclaveForm(files, entry, rights, parts)
+    documents = {name: file for name, file in one[0].documents.items() if file == other[0].documents.get(name)}
+    return EnclaveForm(files, entry, rights, parts, documents)
 
 
 def _of_all(issued: IssuedCertificate | None) -> IssuedCertificate | None:

@@ -110,7 +110,7 @@ class InstallStage(PackageStage):
         if plan.issued and plan.step and not plan.diagnostics:
             (change,) = plan.step.changes
             new.files = change.files
-            new.forms.learn(STAGE, new.kind, (new, plan), self._form)
+            new.forms.learn(STAGE, new, (new, plan), self._form)
         return plan
 
     def _form(

@@ -109,29 +109,29 @@ class Forms:
 
     def __init__(self) -> None:
         self.package: tuple[Package, Mapping[str, bytes]] | None = None
-        self._first: dict[tuple[str, object], Any] = {}
+        self._first: dict[tuple[str, object], tuple[str, Any]] = {}
         self._known: dict[tuple[str, object], Any] = {}
 
     def of(self, stage: str, kind: object) -> Any:
         """Return the form of a kind; None if there is none yet, or none at all."""
         return self._known.get((stage, kind))
 
-    def learn(self, stage: str, kind: object, result: Any, common: Callable[[Any, Any], Any]) -> None:
+    def learn(self, stage: str, new: NewPackage, result: Any, common: Callable[[Any, Any], Any]) -> None:
         """Make the form of a kind as soon as there are results for two of its members.
 
         Args:
             stage: the stage.
-            kind: the kind; None for a package that is of none.
-            result: what the stage made of a member in full.
+            new: a member; one that is of no kind is ignored.
+            result: what the stage made of it in full.
             common: returns what two results have in common; None if others cannot be filled in from it.
         """
-        key = stage, kind
-        if kind is None or key in self._known:
+        key = stage, new.kind
+        if new.kind is None or key in self._known:
             return
-        if key in self._first:
-            self._known[key] = common(self._first.pop(key), result)
-        else:
-            self._first[key] = result
+        name, first = self._first.setdefault(key, (new.name, result))
+        if name != new.name:  # a member that is planned once more would have all in common with itself
+            self._known[key] = common(first, result)
+            del self._first[key]
 
 
 @dataclass(slots=True)

@@ -364,18 +364,12 @@ def new_status(
     own: os.stat_result, files: Mapping[str, os.stat_result | None], folders: Iterable[str]
 ) -> FolderStatus | None:
     """Return the status of a folder from that of its files, just written, by name; None if one is a link."""
-    statuses = {name: status for name, status in files.items() if status is not None}
-    if len(statuses) < len(files):
+    if None in files.values():
         return None
-    newest = max(max(each.st_mtime_ns, each.st_ctime_ns) for each in (own, *statuses.values()))
-    return _status_with(_STATUS(own), {name: _STATUS(each) for name, each in statuses.items()}, newest, folders)
-
-
-def _status_with(
-    own: tuple[int, ...], files: Mapping[str, tuple[int, ...]], newest: int, folders: Iterable[str]
-) -> FolderStatus:
     names = one_of(tuple(sorted(files)))
-    return FolderStatus(_digest([own, *map(files.__getitem__, names)]), newest, names, tuple(sorted(folders)))
+    rows = [_STATUS(own), *[_STATUS(files[name]) for name in names]]
+    newest = max([max(mtime, ctime) for _, _, _, _, mtime, ctime, _, _ in rows])
+    return FolderStatus(_digest(rows), newest, names, tuple(sorted(folders)))
 
 
 def path_status(path: str) -> tuple[str, int]:
@@ -471,7 +465,8 @@ def folder_status(
         return None
     except OSError:
         newest = NEVER
-    return _status_with(owner, files, newest, folders)
+    names = one_of(tuple(sorted(files)))
+    return FolderStatus(_digest([owner, *map(files.__getitem__, names)]), newest, names, tuple(sorted(folders)))
 
 
 class Sight(NamedTuple):

@@ -187,7 +187,7 @@ class ProofStage(PackageStage):
                 return EnclaveProof(new.name, new.package.subject, first.claims, build_types=build_types, stamp=stamp)
         proof = self.package(new.name)
         if new.form is None and proof.stamp:
-            new.forms.learn(STAGE, new.kind, (proof, own, new), self._form)
+            new.forms.learn(STAGE, new, (proof, own, new), self._form)
         return proof
 
     def _form(

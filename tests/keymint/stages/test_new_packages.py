@@ -17,11 +17,12 @@ from keymint_ros.package_reader import load, load_like
 
 from comarmor.errors import Origin
 from keymint.api import KeySpec, Package
+from keymint.ir import SubjectRules
 from keymint.life.register import loaded_register
 from keymint.pki import keys
 from keymint.stages.create import CreateStage
 from keymint.stages.enclave_forms import EnclaveForm
-from keymint.stages.work import NewPackage, NewPackages, PackagePlan
+from keymint.stages.work import Forms, NewPackage, NewPackages, PackagePlan
 from keymint.view.stamps import Stamp, State
 from keymint.view.stamps import load as load_record
 from tests.conftest import Outcome, snapshot
@@ -241,6 +242,16 @@ def test_a_package_that_is_made_from_another_one_is_as_it_is_read(
     (tmp_path / "p.xml").write_text(policy(SIZE, random.Random(0)))
     assert keymint("provision", "p.xml", "-w", "ws").code == 0
     assert len(names) == SIZE
+
+
+def test_a_member_that_is_planned_twice_has_not_all_in_common_with_itself() -> None:
+    forms, found = Forms(), list[tuple[str, str]]()
+    members = [NewPackage(name, SubjectRules(f"/{name}", ()), forms, "") for name in ("a", "a", "b", "c")]
+    for each in members:
+        each.kind = "kind"
+        forms.learn("stage", each, each.name, lambda *pair: found.append(pair) or pair)
+    assert found == [("a", "b")]
+    assert forms.of("stage", "kind") == ("a", "b")
 
 
 def other_key(content: bytes) -> bytes:
