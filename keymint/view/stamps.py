@@ -24,6 +24,8 @@ MAX_RECORD = 1 << 30
 VERSION = 3
 _DIGEST = 64
 """Characters of a digest; longer texts are written once."""
+_OF_STAMP = 512
+"""About the bytes that a stamp takes in a record."""
 _AT_ONCE = 256
 """Stamps that become text together."""
 _SEAL, _END = b',"sha256":"', b'"}\n'
@@ -159,6 +161,9 @@ class State:
 
         # Some stamps at a time become text: what the rows of a large fleet take is more than the stamps.
         body = io.BytesIO()
+        body.seek(_OF_STAMP * sum(map(len, self.stamps.values())))  # or it would be copied as it grows
+        body.write(b" ")
+        body.seek(0)
         body.write(b'{"stamps":{')
         for number, (stage, of_stage) in enumerate(sorted(self.stamps.items())):
             body.write(f"{'},' if number else ''}{_json(stage)}:{{".encode())
@@ -170,6 +175,7 @@ class State:
         for number, text in enumerate(texts):
             body.write(f"{',' if number else ''}{_json(text)}".encode())
         body.write(f'],"version":{VERSION}'.encode())
+        body.truncate()
         return _sealed(body)
 
 
