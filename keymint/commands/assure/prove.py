@@ -19,13 +19,14 @@ from keymint.errors import ExitCode, KeymintError
 from keymint.examine import keystore
 from keymint.life import terms
 from keymint.life.examine import orphan_findings
-from keymint.life.workspace_register import has_register, with_enclaves
+from keymint.life.workspace_register import has_register, with_enclaves, withdrawn
 from keymint.output.json import line_json
 from keymint.stages.create import subjects_without_package
 from keymint.stages.proof.proof_results import STATES, EnclaveProof, ProofEffort, ProofResults, proof_findings
 from keymint.stages.proof.prove import NO_PROVER, STAGE
 from keymint.stages.proof.trust_anchors import differences
 from keymint.store.changes import Action, Step
+from keymint.workspace.installed_enclaves import not_installed
 from keymint.workspace.policy_loading import lazy_policy
 from keymint.workspace.session import Session
 
@@ -70,7 +71,10 @@ def prove(
             session, chosen, policy, effort,
             lambda name: advance(Step(STAGE, name, Action.UNCHANGED)), run.pool,
         )  # fmt: skip
-    unknown = () if names else (*orphan_findings(session), *subjects_without_package(session, policy, chosen))
+    unknown: tuple[Diagnostic, ...] = ()
+    if not names:
+        gone = (not_installed(name, "", reason) for name, reason in withdrawn(session).items())
+        unknown = (*orphan_findings(session), *subjects_without_package(session, policy, session.packages()), *gone)
     # What holds for another distribution is a result to show: no later run may rely on it.
     unrecorded = () if session.vendors_of else run.keep(session, results.state)
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import subprocess
@@ -665,3 +666,17 @@ def test_an_enclave_that_reads_no_list_is_not_stale_afterwards(keymint, policy: 
     assert keymint("revoke", "talker", "--reason", "superseded", "-w", "ws").code == 0
     status = keymint("status", "-w", "ws", "--json").document["result"]
     assert [each["stale"] for each in status["packages"] if each["stale"]] == []
+
+
+@pytest.mark.parametrize("which", [NAMES[:1], NAMES])
+def test_prove_and_report_say_which_were_revoked_and_ask_for_no_package(keymint, provisioned: Path, which) -> None:
+    assert keymint("revoke", *which, "--reason", "retired", cwd=provisioned).code == 0
+    outcome = keymint("prove", "--json", cwd=provisioned)
+    assert (outcome.code, [each for each in outcome.codes() if each != "assumption"]) == (
+        0,
+        ["identity-revoked"] * len(which),
+    )
+    assert keymint("report", "-o", "audit.json", cwd=provisioned).code == 0
+    codes = [each["code"] for each in json.loads((provisioned / "audit.json").read_text())["findings"]]
+    assert codes.count("identity-revoked") == len(which)
+    assert "subjects-uncreated" not in codes
