@@ -3,9 +3,7 @@
 
 from __future__ import annotations
 
-import io
 import subprocess
-import tarfile
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -49,11 +47,11 @@ def at_revision(text: str, folder: Path, environment: Mapping[str, str]) -> Iter
     commit = run_git(
         ("rev-parse", "--verify", "--quiet", "--end-of-options", f"{name}^{{commit}}"), top, environment, name
     )
-    archive = run_git(("archive", "--format=tar", commit.decode().strip()), top, environment)
     with tempfile.TemporaryDirectory(prefix="keymint-") as temporary:
-        root = Path(temporary).resolve()
-        with tarfile.open(fileobj=io.BytesIO(archive)) as tar:
-            tar.extractall(root, filter="data")
+        root = Path(temporary).resolve() / "tree"
+        index = {**environment, "GIT_INDEX_FILE": f"{temporary}/index"}  # that of the user stays as it is
+        run_git(("read-tree", commit.decode().strip()), top, index)
+        run_git(("checkout-index", "--all", f"--prefix={root}/"), top, index)  # git refuses names that lead elsewhere
         extracted = (root / path).resolve()
         if not extracted.is_relative_to(root) or not extracted.exists():
             help_ = "the path is relative to the repository; with ./ to the current folder"

@@ -105,7 +105,10 @@ def report(
     expressions = [parse(each["expression"]) for each in document["rights"] or ()]
     for text, pattern in zip(safety, patterns, strict=True):
         if expressions and all(disjoint(pattern, each) for each in expressions):
-            message, help_ = f"no right is about {quote(text)}", "compare the spelling with 'keymint query who can'"
+            message, help_ = (
+                f"no right is about {quote(text)}",
+                "correct the pattern, unless nobody may use such an object",
+            )
             told.append(Diagnostic.warning("safety-unmatched", message, help=help_))
     return run.report(result, [*evidence.unread, *told], findings_if(evidence.unread), workspace=session.workspace)
 
@@ -129,6 +132,10 @@ class _Part(Run):
         """Return the snapshot of the report, which is one for auditing."""
         del auditing
         return self._session
+
+
+def _refuse(found: Sequence[Diagnostic]) -> None:
+    raise KeymintError.of(found)
 
 
 class _Evidence:
@@ -173,6 +180,8 @@ class _Evidence:
         found = merged_diagnostics([*map(run.as_typed, self._findings)])
         findings = [each for each in found if each.code not in {"assumption", *_UNREAD}]
         unread = [each.message for each in found if each.code in _UNREAD]
+        if older := [each for each in self._findings if each.code == "revocation-list-living"]:  # than a list
+            issued = self._known("issued", lambda: _refuse(older[:1]))
         revoked = None if issued is None else [each for each in issued if each["revoked"]]
         return {
             "format": "keymint-audit",

@@ -233,6 +233,18 @@ def test_a_critical_object_that_no_right_is_about_may_be_a_slip(
     assert "no right is about '/chater'" in outcome.err
 
 
+def test_a_register_that_is_older_than_a_list_knows_not_who_was_revoked(
+    keymint: Callable[..., Outcome], provisioned: Path
+) -> None:
+    register = provisioned / "private/register.sqlite3"
+    before = register.read_bytes()
+    assert keymint("revoke", "talker", "--reason", "key-compromise", "-w", "ws").code == 0
+    register.write_bytes(before)
+    outcome = keymint("report", "-w", "ws", "-o", "audit.json", "--json")
+    found = json.loads(outcome.out)["result"]["report"]
+    assert (outcome.code, found["revoked"], found["exposed"], [*found["unknown"]]) == (3, None, None, ["issued"])
+
+
 def test_names_are_text_and_nothing_else(keymint: Callable[..., Outcome], provisioned: Path, tmp_path: Path) -> None:
     policy = tmp_path / "policy.xml"
     hostile = "/a&lt;script&gt;alert(1)&lt;/script&gt;&quot;onload=&#x202E;*"
