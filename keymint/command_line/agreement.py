@@ -116,7 +116,7 @@ def _losses(work: Work, rights: Sequence[SubjectChanges], more: str) -> Iterator
     """Yield what the user must agree to; the second text says what shows more."""
     if stripped := [each.subject for each in rights if not each.after]:
         of_whom = stripped[0] if len(stripped) == 1 else f"{len(stripped)} subjects: {subject_list(stripped)}"
-        help_ = "is it the right policy? name them in it; 'keymint remove' is for those that are gone"
+        help_ = "is it the right policy? name them in it; 'keymint remove NAME' is for those that are gone"
         yield Diagnostic.warning("subject-stripped", f"this takes all rights from {of_whom}", None, help_)
     losing = [each.subject for each in rights if any(not one.gains for one in each.changes)]
     if len(losing) >= FEWEST:

@@ -131,7 +131,7 @@ def other_domain(session: Session, default: str = "") -> tuple[Diagnostic, ...]:
         return ()
     is_ = quote(given) if given else f"not set, which means {default}"
     message = f"ROS_DOMAIN_ID is {is_}, but the workspace is for domain {own}: nodes that start so are refused"
-    help_ = f"set ROS_DOMAIN_ID to {own} where nodes start, or change the workspace with 'keymint set domain'"
+    help_ = f"set ROS_DOMAIN_ID to {own} where nodes start, or change the workspace: 'keymint set domain NUMBER'"
     place = session.workspace.profile / next(iter(session.profile_type.PLACES.get("domain", ())), PROFILE_MARKER)
     return (Diagnostic.warning("domain-environment", message, session.workspace.origin(place), help_),)
 

@@ -38,7 +38,7 @@ from keymint.commands.life.issued import issued_certificates
 from keymint.commands.understand.query import legal_expression
 from keymint.drawing.html_report import audit_page
 from keymint.errors import KeymintError, usage_error
-from keymint.examine.authorities import EXPOSURES
+from keymint.examine.authorities import EXPOSURES, REGISTER_IS_OLDER
 from keymint.examine.report_signer import report_signer
 from keymint.host.git import at_revision, revision_before
 from keymint.output.audit_rights import MOST, reach_json, rights_json
@@ -180,7 +180,7 @@ class _Evidence:
         found = merged_diagnostics([*map(run.as_typed, self._findings)])
         findings = [each for each in found if each.code not in {"assumption", *_UNREAD}]
         unread = [each.message for each in found if each.code in _UNREAD]
-        if older := [each for each in self._findings if each.code == "revocation-list-living"]:  # than a list
+        if older := [each for each in self._findings if each.code == REGISTER_IS_OLDER]:
             issued = self._known("issued", lambda: _refuse(older[:1]))
         revoked = None if issued is None else [each for each in issued if each["revoked"]]
         return {
