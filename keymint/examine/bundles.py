@@ -69,7 +69,8 @@ def accept(bundle: Bundle, present: Present, owner: Owner, now: datetime, where:
         KeymintError: ``bundle-authority``: it rests on an authority that nobody knows here. ``bundle-unexpected``: it
             is for an enclave that nobody expects. ``bundle-nonce``: it answers another request.
             ``bundle-outdated``: a number would go back. ``bundle-key``: the keystore does not have its key.
-            ``bundle-dates``, ``bundle-chain``, ``bundle-revoked``: nodes would not start with it.
+            ``bundle-dates``, ``bundle-chain``, ``bundle-revoked``: nodes would not start with it, or
+            an enclave here has a revocation list with its certificate.
     """
     was_accepted = bundle.encoded == present.files.get(RECORD)
     _require_known_authorities(bundle, present, owner.authorities, where, was_accepted=was_accepted)
@@ -79,6 +80,12 @@ def accept(bundle: Bundle, present: Present, owner: Owner, now: datetime, where:
     _require_expected(bundle.manifest, present, owner, before, where)
     key = _private_key(bundle, present, where)
     _require_in_force(bundle, now, where)
+    serial = bundle.certificate.serial_number
+    by_signer = (each for each in present.lists if crl.is_by(each, bundle.signer))
+    if any(each.get_revoked_certificate_by_serial_number(serial) for each in by_signer):
+        message = "its certificate was revoked: a revocation list in this keystore has it"
+        help_ = "ask the authority for a new bundle, if the enclave is still needed"
+        raise KeymintError(message, where=where, help=help_, code="bundle-revoked")
     wanted = {**bundle.files, **({KEY: key} if key else {}), RECORD: bundle.encoded}
     files = {name: content for name, content in wanted.items() if present.files.get(name) != content}
     # A key of an earlier request is of no use beside a certificate for another one.

@@ -20,7 +20,7 @@ from keymint.errors import KeymintError
 from keymint.names import ROOT
 from keymint.pki import certificates
 from keymint.robots import certification_request as requests
-from keymint.robots.bundle import CERTIFICATE, KEY, certificates_of_authorities, issuing_files
+from keymint.robots.bundle import CERTIFICATE, KEY, certificates_of_authorities, issuing_files, revocation_lists
 from keymint.robots.certification_request import CertificationRequest
 from keymint.store.changes import File, FolderChange
 from keymint.view.tree import Tree
@@ -50,6 +50,7 @@ class Present:
         pending: its request that waits for an answer.
         known: fingerprints of the keys of authorities that some enclave of the keystore trusts, by name of their file.
         issuing: names of those files whose authorities issue certificates of enclaves.
+        lists: the revocation lists that its enclaves have.
     """
 
     folder: str
@@ -57,6 +58,7 @@ class Present:
     pending: Pending | None
     known: Mapping[str, frozenset[str]]
     issuing: frozenset[str]
+    lists: tuple[x509.CertificateRevocationList, ...] = ()
 
 
 class Keystore:
@@ -101,13 +103,16 @@ class Keystore:
         contents = {name: self._tree.read(folder / name) for name in names}
         return {name: content for name, content in contents.items() if content is not None}
 
-    def _known(self) -> tuple[Mapping[str, frozenset[str]], frozenset[str]]:
+    def _known(
+        self,
+    ) -> tuple[Mapping[str, frozenset[str]], frozenset[str], tuple[x509.CertificateRevocationList, ...]]:
         """Return the fingerprints of the keys of the authorities that enclaves trust, by name of their file.
 
-        And the names of those files whose authorities issue certificates of enclaves.
+        And the names of those files whose authorities issue certificates of enclaves, and the revocation lists.
         """
         known: dict[str, set[str]] = {}
         issuing: set[str] = set()
+        lists: list[x509.CertificateRevocationList] = []
         for folder in self._folders(str(self.root)):
             files = {name: self._tree.try_read(f"{folder}/{name}") or b"" for name, _ in self._tree.names(folder)}
             chains: dict[str, tuple[x509.Certificate, ...]] = {}
@@ -117,7 +122,9 @@ class Keystore:
             for file, chain in chains.items():
                 known.setdefault(file, set()).update(map(certificates.fingerprint, chain))
             issuing |= issuing_files(files[CERTIFICATE], chains)
-        return {name: frozenset(each) for name, each in known.items()}, frozenset(issuing)
+            with suppress(ValueError):  # a damaged list says of nobody that it is revoked
+                lists += revocation_lists(files)
+        return {name: frozenset(each) for name, each in known.items()}, frozenset(issuing), tuple(lists)
 
     def _folders(self, folder: str) -> Iterator[str]:
         """Yield the folders of enclaves: those with a certificate of an identity."""

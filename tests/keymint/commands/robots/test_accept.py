@@ -283,3 +283,22 @@ def test_it_starts_without_what_only_workspaces_need(tmp_path: Path) -> None:
         [sys.executable, "-c", script], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
     )
     assert done.stdout.splitlines() == ["1 []"]
+
+
+def test_an_old_bundle_that_a_list_of_another_enclave_revokes(keymint, trust: str, ws: Path, tmp_path: Path) -> None:
+    ran(keymint, "bundle", "talker", "-w", "ws", "-o", "old.bundle")
+    ran(keymint, "revoke", "talker", "--reason", "retired", "-w", "ws")
+    ran(keymint, "bundle", "robot1/listener", "-w", "ws")
+    ran(keymint, "accept", "robot1.listener.bundle", "--folder", "r", "--new", "--authority-fingerprint", trust)
+    before = snapshot(tmp_path / "r")
+    assert code(keymint("accept", "old.bundle", "--folder", "r", "--new", "--json")) == "bundle-revoked"
+    assert snapshot(tmp_path / "r") == before
+    ran(keymint, "renew", "--rekey", "talker", "-w", "ws")
+    ran(keymint, "bundle", "talker", "-w", "ws")
+    ran(keymint, "accept", "talker.bundle", "--folder", "r", "--new")
+
+
+def test_a_damaged_list_of_another_enclave_keeps_none_out(keymint, robot: Path, ws: Path) -> None:
+    ran(keymint, "bundle", "robot1/listener", "-w", "ws")
+    (robot / "enclaves/talker/crl.pem").write_bytes(b"-----BEGIN X509 CRL-----\nx\n")
+    ran(keymint, "accept", "robot1.listener.bundle", "--folder", "robot", "--new")
