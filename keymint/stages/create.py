@@ -54,11 +54,11 @@ def plan_init(
     root, place = inputs.workspace.profile, inputs.workspace.root
     is_new = not inputs.workspace.exists()  # else an interrupted run has just been finished
     if is_new and {("enclaves", True), ("public", True)} <= {*inputs.tree.names(place)}:
-        raise KeymintError(
-            "is a keystore of 'ros2 security', and no workspace", where=inputs.workspace.origin(place),
-            help=f"keymint adopt {inputs.workspace.shown(place)} POLICY --apply -w WORKSPACE",
-            code="workspace-keystore",
-        )  # fmt: skip
+        what, help_ = "'ros2 security'", f"keymint adopt {inputs.workspace.shown(place)} POLICY --apply -w WORKSPACE"
+        if (place.parent / "profile" / PROFILE_MARKER).is_file():
+            what, help_ = "a workspace", f"name the workspace: -w {inputs.workspace.shown(place.parent)}"
+        message, where = f"is a keystore of {what}, and no workspace", inputs.workspace.origin(place)
+        raise KeymintError(message, where=where, help=help_, code="workspace-keystore")
     if is_new and inputs.state.stamps and distro is None:  # only the owner knows which it had
         raise KeymintError(
             "is missing, but the workspace has packages: it had the distribution, the transports and the layout",

@@ -232,3 +232,11 @@ def test_the_current_folder_becomes_a_workspace_but_not_silently_and_not_home(
     made = keymint(*verb, cwd=folder)
     assert made.out.startswith("created   init        workspace profile, in the current folder\n")
     assert keymint(*verb, cwd=folder, env={"HOME": str(folder)}).code == 0
+
+
+def test_the_keystore_of_a_workspace_is_no_workspace(keymint, provisioned: Path, policy: Path) -> None:
+    outcome = keymint("provision", policy, "-w", provisioned / "install")
+    assert outcome.code == 1
+    assert (
+        "is a keystore of a workspace, and no workspace (name the workspace: -w ws) [workspace-keystore]" in outcome.err
+    )
