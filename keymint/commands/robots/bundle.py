@@ -11,7 +11,7 @@ from typing import Any
 
 from cryptography import x509
 
-from comarmor.errors import Diagnostic
+from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
 from keymint.api import Package, Phase
 from keymint.authority.authorities import MintedAuthority, plan_authorities
@@ -62,10 +62,27 @@ def bundle(
         require_output(run, output, len(chosen))
         ahead, authorities = _second_keystore(run, session) if staged else (None, _in_force(session, chosen))
         plan, made[:] = plan_bundles(session, chosen, authorities, ahead)
-        return plan
+        found = names.packages(run, session, matched=[*there, *withdrawn(session)]) if chosen else ()
+        return plan.noting(*(_passed_over(run, session, output, name) for name in found if name not in chosen))
 
     report = run.change(make_plan)
     return replace(report, steps=(), result={"bundles": write_bundles(run, output, made)})
+
+
+def _passed_over(run: Run, session: Session, output: Path | None, name: str) -> Diagnostic:
+    """Return the warning on a revoked package that a pattern matches, and on the bundle of it that was made before."""
+    message = f"{subject_of(name)} has no bundle: its certificate was revoked ({withdrawn(session)[name]})"
+    help_, where = f"'keymint renew --rekey {name}' makes a new key and certificate", None
+    target = _target(run, output, name)
+    if target != output and user_path(run, target).exists():
+        message, help_, where = f"{message}, so this one is out of date", f"delete it; {help_}", Origin(str(target))
+    return Diagnostic.warning("identity-revoked", message, where, help_, subject_of(name))
+
+
+def _target(run: Run, output: Path | None, name: str) -> Path:
+    """Return the file of a package's bundle."""
+    file = f"{name.replace('/', '.')}.bundle"
+    return Path(file) if output is None else output / file if user_path(run, output).is_dir() else output
 
 
 def _in_force(session: Session, names: Collection[str]) -> Mapping[str, MintedAuthority]:
@@ -129,8 +146,7 @@ def write_bundles(run: Run, output: Path | None, made: Sequence[MadeBundle]) -> 
     documents = []
     told: list[str] = []
     for each in made:
-        file = f"{each.manifest.name.replace('/', '.')}.bundle"
-        target = Path(file) if output is None else output / file if user_path(run, output).is_dir() else output
+        target = _target(run, output, each.manifest.name)
         told += told_written(run, target, write_outputs(run, target, each.content, secret=each.secret))
         if each.secret:
             told.append(

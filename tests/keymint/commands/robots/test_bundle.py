@@ -61,6 +61,24 @@ def test_a_pattern_passes_over_what_was_revoked(keymint, ws: Path) -> None:
     assert (refused.code, "no package matches '/tal*'" in refused.err) == (1, True)
 
 
+@pytest.mark.parametrize("listed", [False, True])
+def test_what_a_pattern_passes_over_is_told_with_its_old_file(keymint, ws: Path, tmp_path: Path, listed: bool) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "names").write_text("/*\n")
+    words = ("bundle", *(("--from", "names") if listed else ("/*",)), "-w", "ws", "--json")
+    ran(keymint, *words[:-1], "-o", "out")
+    assert keymint("revoke", "talker", "--reason", "retired", "-w", "ws").code == 0
+    outcome = keymint(*words, "-o", "out")
+    [found] = outcome.document["diagnostics"]
+    assert (outcome.code, found["code"], found["severity"]) == (0, "identity-revoked", "warning")
+    assert (found["subject"], found["file"]) == ("/talker", "out/talker.bundle")
+    assert "revoked (retired), so this one is out of date" in found["message"]
+    (tmp_path / "out/talker.bundle").unlink()
+    for output in ("out", "single"):
+        [found] = keymint(*words, "-o", output).document["diagnostics"]
+        assert (found["file"], "out of date" in found["message"]) == (None, False)
+
+
 def test_a_file_or_a_folder(keymint, ws: Path, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     assert ran(keymint, "bundle", "talker", "-w", "ws", "-o", "x")["bundles"][0]["file"] == "x"
