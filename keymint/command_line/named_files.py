@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import stat
 from collections.abc import Mapping
 from dataclasses import replace
@@ -12,9 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from comarmor.errors import Origin
-from keymint import __version__
+from keymint import SPACES, __version__
 from keymint.api import LoadedPolicy
-from keymint.errors import KeymintError
+from keymint.errors import ExitCode, KeymintError
 from keymint.output.report import Report
 from keymint.run.run import Run
 from keymint.store.changes import File
@@ -22,9 +23,19 @@ from keymint.store.user_files import write_files
 from keymint.view.tree import read_file
 from keymint.workspace.session import Session
 from keymint.workspace.shipped_profiles import package_digest
+from keymint.workspace.workspace import PROFILE_MARKER
 
 if TYPE_CHECKING:
     from keymint.drawing.labelled_graph import LabelledGraph
+
+# How outputs begin, each with its kind; policies are of none, since they are kept without --force.
+_KIND = re.compile(
+    rb'\{\s*"\$schema": "[^"]*/(sarif)/|\{\s*"format": "(keymint-\w+)"|(digraph keymint) '
+    rb'|<\?xml[^>]*\?>\s*(?:<(testsuites) name="keymint |<(svg) [^>]*class="keymint")'
+    rb'|<!DOCTYPE html>[^\']{,99}content="(default-src &#39;none&#39;; style-src)'
+    rb"|-----BEGIN ([A-Z0-9 ]+)-----|.{257}(ustar)",
+    re.DOTALL,
+)
 
 
 def read_input(run: Run, path: Path, most: int | None = None) -> bytes:
@@ -72,14 +83,18 @@ def write_outputs(
         The files that are, or would be, written, as the user would type them.
 
     Raises:
-        KeymintError: the path is a link or a directory, or the file is to be kept, or the system refuses.
+        KeymintError: the path is a link or a directory, or the file is to be kept, or the system refuses; or, with code
+            ``output-foreign``, a file is of another kind than what would replace it, or in a space of a workspace.
     """
     if keep and user_path(run, path).exists() and read_input(run, path) != content:
         raise keep
     folder = user_path(run, path.parent)
     wanted = {folder / name: File(data, secret=secret) for name, data in (beside or {}).items()}
     wanted[folder / path.name] = File(content, secret=secret)
-    changed = {place: file for place, file in wanted.items() if _current(place) != file.content}
+    current = {place: _current(place) for place in wanted}
+    changed = {place: file for place, file in wanted.items() if current[place] != file.content}
+    for place, file in changed.items():
+        _require_own(run, place, current[place], file.content)
     if not run.dry_run:
         write_files(folder, changed, run.console.waiting, wanted)
     return [str(path.parent / place.relative_to(folder)) for place in changed]
@@ -97,7 +112,8 @@ def write_errors(run: Run, path: Path, kind: str, report: Report) -> Report:
         written = sarif(tool, of_diagnostics(found), run.typed) if is_sarif else junit(tool, {tool: cases})
         write_outputs(run, path, written)
     except KeymintError as error:
-        return replace(report, diagnostics=(*report.diagnostics, *error.diagnostics))
+        # The error may be that this very file is not to be replaced.
+        return replace(report, diagnostics=tuple(dict.fromkeys((*report.diagnostics, *error.diagnostics))))
     return report
 
 
@@ -207,11 +223,38 @@ def made_of(
     return tuple(lines)
 
 
+def _require_own(run: Run, path: Path, current: bytes | None, content: bytes) -> None:
+    """Require that a file may be replaced: it is missing or empty, or an earlier output outside a workspace's spaces.
+
+    Raises:
+        KeymintError: it may not.
+    """
+    kind = _kind(content)
+    if not current or kind is None:
+        return
+    spaces = list(run.known_workspace.spaces()) if run.known_workspace else []
+    roots = (folder for folder in path.parents if os.path.lexists(f"{folder}/profile/{PROFILE_MARKER}"))
+    spaces += [root / name for root in roots for name in (*SPACES, "install.next", ".keymint")]
+    if _kind(current) != kind or any(map(path.is_relative_to, spaces)):
+        message = "is no earlier output of this kind outside the spaces of a workspace, so it is not replaced"
+        where, help_ = Origin(run.typed(str(path))), "name another file, or remove this one first"
+        raise KeymintError(message, where=where, help=help_, code="output-foreign", exit_code=ExitCode.USAGE)
+
+
+def _kind(content: bytes) -> bytes | None:
+    """Return what kind of output a file is by how it begins; None if it is none, or a policy."""
+    found = _KIND.match(content)
+    return found and found[found.lastindex or 0]
+
+
 def _current(path: Path) -> bytes | None:
     try:
         return read_file(path)
-    except KeymintError:
-        return None  # the store reports why it cannot be replaced
+    except KeymintError as error:
+        if error.diagnostics[0].code != "file-size":
+            return None  # the store reports why it cannot be replaced
+    with path.open("rb") as opened:
+        return opened.read(512)  # enough to tell its kind
 
 
 def user_path(run: Run, path: Path) -> Path:

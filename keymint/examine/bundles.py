@@ -132,7 +132,9 @@ def _require_known_authorities(
             raise KeymintError(message, where=where, help=help_, code="bundle-authority")
     if not trusted:
         nobody = "no enclave in this keystore trusts it" if present.known else "this keystore trusts no authority yet"
-        message = f"its authority is not known here: {nobody}"
+        # Its own fingerprint is not in the message: nobody should copy it from here.
+        wrong = f"its fingerprint does not match {', '.join(sorted(given))}"
+        message = f"its authority is not known here: {wrong if given else nobody}"
         help_ = f"ask its owner for the fingerprint of the key {give}"
         raise KeymintError(message, where=where, help=help_, code="bundle-authority")
 

@@ -189,6 +189,13 @@ def test_a_bundle_of_another_authority(keymint, robot: Path, made: Path, tmp_pat
     assert snapshot(robot) == before
     refused = keymint("accept", "foreign.bundle", "--folder", "nowhere", "--new", "--json")
     assert code(refused) == "bundle-authority"
+    wrong = "0" * 64
+    trusting = ("--authority-fingerprint", wrong)
+    refused = keymint("accept", "foreign.bundle", "--folder", "nowhere", "--new", *trusting, "--json")
+    assert code(refused) == "bundle-authority"
+    message = refused.document["diagnostics"][0]["message"]
+    assert f"does not match {wrong}" in message
+    assert "trusts no authority yet" not in message
     assert not (tmp_path / "nowhere").exists()
     assert authority(tmp_path / "foreign.bundle") not in refused.out  # nobody should copy it from here
 
