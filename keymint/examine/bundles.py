@@ -80,9 +80,8 @@ def accept(bundle: Bundle, present: Present, owner: Owner, now: datetime, where:
     _require_expected(bundle.manifest, present, owner, before, where)
     key = _private_key(bundle, present, where)
     _require_in_force(bundle, now, where)
-    serial = bundle.certificate.serial_number
     by_signer = (each for each in present.lists if crl.is_by(each, bundle.signer))
-    if any(each.get_revoked_certificate_by_serial_number(serial) for each in by_signer):
+    if any(each.get_revoked_certificate_by_serial_number(bundle.certificate.serial_number) for each in by_signer):
         message = "its certificate was revoked: a revocation list in this keystore has it"
         help_ = "ask the authority for a new bundle, if the enclave is still needed"
         raise KeymintError(message, where=where, help=help_, code="bundle-revoked")
