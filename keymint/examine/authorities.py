@@ -117,8 +117,6 @@ def encryption(session: Session) -> Iterator[Diagnostic]:
                 yield Diagnostic.warning("key-plain", message, session.workspace.origin(path), help_)
 
 
-REGISTER_IS_OLDER = "revocation-list-living"
-"""Code of the finding that a list has a revocation which the register lacks."""
 EXPOSURES = frozenset({"key-was-exposed", "key-tracked", "key-exposed", "file-mode"})
 """Codes of findings on secrets that others can read, or could read."""
 

@@ -35,6 +35,8 @@ from keymint.workspace.installed_enclaves import CERTIFICATE, INSTALLED, install
 from keymint.workspace.package_build_types import build_types_of, is_build_current, revocation_files
 from keymint.workspace.session import Inputs, Session, once
 
+REGISTER_IS_OLDER = "revocation-list-living"
+"""Code of the finding that a list has a revocation which the register lacks."""
 _INSTALL_LIST = "'keymint install' writes it again; then deploy and restart the enclaves"
 
 

@@ -38,7 +38,8 @@ from keymint.commands.life.issued import issued_certificates
 from keymint.commands.understand.query import legal_expression
 from keymint.drawing.html_report import audit_page
 from keymint.errors import KeymintError, usage_error
-from keymint.examine.authorities import EXPOSURES, REGISTER_IS_OLDER
+from keymint.examine.authorities import EXPOSURES
+from keymint.examine.keystore import REGISTER_IS_OLDER
 from keymint.examine.report_signer import report_signer
 from keymint.host.git import at_revision, revision_before
 from keymint.output.audit_rights import MOST, reach_json, rights_json

@@ -265,7 +265,7 @@ def test_a_wrong_policy_strips_nobody(ws: Fleet) -> None:
         "other.xml: error: is another policy than the workspace has: its profiles are other/camera, and those before "
         "are p/listener, p/talker (is it the right file, and the right workspace?) [policy-replaced]\n"
         "error: this takes all rights from 2 subjects: /listener, /talker (is it the right policy? name them in it; "
-        "'keymint remove -w ws' is for those that are gone) [subject-stripped]\n"
+        "'keymint remove NAME -w ws' is for those that are gone) [subject-stripped]\n"
         "error: nothing was written (if this is wanted, add --yes) [not-confirmed]\n"
     )
     outcome = ws.provision("--yes", file="other.xml")

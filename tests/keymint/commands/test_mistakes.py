@@ -177,7 +177,7 @@ MISTAKES = [
         "provision robot.xml -w ws", "subject-stripped", 3, "takes all rights from 3 subjects", WHOLE,
         "is it the right policy?"),
     Mistake(27, "a subject renamed, and --prune", edit("/camera<", "/a<"), "provision robot.xml -w ws --prune",
-        "subject-stripped", 3, "takes all rights from /camera", WHOLE, "'keymint remove'"),
+        "subject-stripped", 3, "takes all rights from /camera", WHOLE, "'keymint remove NAME'"),
     Mistake(28, "a right removed, and not provisioned", edit("<ros_call/>", "<ros_execute/>"), "check -w ws",
         "policy-changed", 3, "out of date with the policy, which changed: /planner", "robot.xml",
         "'keymint provision robot.xml'"),
