@@ -102,16 +102,8 @@ def report(
     written = write_outputs(run, output, content, beside)
     run.console.lines(told_written(run, output, written))
     result = {"file": str(output), "written": written, "report": document}
-    told = []
-    expressions = [parse(each["expression"]) for each in document["rights"] or ()]
-    for text, pattern in zip(safety, patterns, strict=True):
-        if expressions and all(disjoint(pattern, each) for each in expressions):
-            message, help_ = (
-                f"no right is about {quote(text)}",
-                "correct the pattern, unless nobody may use such an object",
-            )
-            told.append(Diagnostic.warning("safety-unmatched", message, help=help_))
-    return run.report(result, [*evidence.unread, *told], findings_if(evidence.unread), workspace=session.workspace)
+    told = [*evidence.unread, *_unmatched(document["rights"] or (), dict(zip(safety, patterns, strict=True)))]
+    return run.report(result, told, findings_if(evidence.unread), workspace=session.workspace)
 
 
 class _Part(Run):
@@ -135,8 +127,13 @@ class _Part(Run):
         return self._session
 
 
-def _refuse(found: Sequence[Diagnostic]) -> None:
-    raise KeymintError.of(found)
+def _unmatched(rights: Sequence[Mapping[str, Any]], safety: Mapping[str, Glob]) -> Iterator[Diagnostic]:
+    """Yield a warning for each critical object, by its pattern as written, that no right is about."""
+    expressions = {each["expression"] for each in rights} if safety else ()
+    for text, pattern in safety.items():
+        if expressions and all(disjoint(pattern, parse(each)) for each in expressions):
+            help_ = "correct the pattern, unless nobody may use such an object"
+            yield Diagnostic.warning("safety-unmatched", f"no right is about {quote(text)}", help=help_)
 
 
 class _Evidence:
@@ -181,8 +178,6 @@ class _Evidence:
         found = merged_diagnostics([*map(run.as_typed, self._findings)])
         findings = [each for each in found if each.code not in {"assumption", *_UNREAD}]
         unread = [each.message for each in found if each.code in _UNREAD]
-        if older := [each for each in self._findings if each.code == REGISTER_IS_OLDER]:
-            issued = self._known("issued", lambda: _refuse(older[:1]))
         revoked = None if issued is None else [each for each in issued if each["revoked"]]
         return {
             "format": "keymint-audit",
@@ -224,12 +219,14 @@ class _Evidence:
         return made and (made.result[member] if member else made.result)
 
     def _issued(self, part: Run) -> Report:
-        """Return what ``issued`` reports; who may not read the register cannot know it."""
+        """Return what ``issued`` reports; unknown without the register, and if the check found that it is older."""
         register = self._session.workspace.register
         if self._session.tree.is_left_out(register):
             message, help_ = "you may not read the register of certificates", "run this as the owner of private/"
             where = self._session.workspace.origin(register)
             raise KeymintError(message, where=where, help=help_, code="not-examined")
+        if older := next((each for each in self._findings if each.code == REGISTER_IS_OLDER), None):
+            raise KeymintError.of([older])
         return _called(issued_certificates)(part)
 
     def _changes(self, since: str, policy: LoadedPolicy) -> Mapping[str, Any]:
