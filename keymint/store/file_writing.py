@@ -80,21 +80,31 @@ def create(
         if file.link:
             os.symlink(file.link, name, dir_fd=folder)
             return None
-        opened = os.open(name, NEW_FILE, 0o600, dir_fd=folder)
+        is_public = not file.secret and file.mode is None
+        opened = os.open(name, NEW_FILE, 0o644 if is_public else 0o600, dir_fd=folder)
         try:
-            fill(opened, file, owner)
-            return os.fstat(opened)
+            return fill(opened, file, owner)
         finally:
             os.close(opened)
     except OSError as error:
         refuse(f"{shown}/{name}", error)
 
 
-def fill(opened: int, file: File, owner: tuple[int, int] | None) -> None:
-    """Write a new file that is open, and give it its owner and its mode; see :func:`create`."""
+def fill(opened: int, file: File, owner: tuple[int, int] | None) -> os.stat_result:
+    """Write a new file that is open, give it its owner and its mode, and return its status; see :func:`create`."""
     write_all(opened, file.content)
-    give(opened, owner)
-    os.fchmod(opened, file_mode(secret=file.secret) if file.mode is None else file.mode)
+    if owner is not None:
+        give(opened, owner)
+    return with_mode(opened, file_mode(secret=file.secret) if file.mode is None else file.mode)
+
+
+def with_mode(opened: int, mode: int) -> os.stat_result:
+    """Give an open file or folder a mode if it has another one, as by the umask, and return its status."""
+    status = os.fstat(opened)
+    if stat.S_IMODE(status.st_mode) == mode:
+        return status
+    os.fchmod(opened, mode)
+    return os.fstat(opened)
 
 
 def write_all(opened: int, content: bytes) -> None:
@@ -124,7 +134,7 @@ def check_component(name: str, folder: str | Path) -> None:
     """Raise an error for text that cannot be the name of a file."""
     if name in {"", ".", ".."} or "/" in name or "\0" in name:
         raise file_error(folder, "confined", f"{name!r} is not a file name")
-    if len(os.fsencode(name)) > MAX_COMPONENT:
+    if len(name) > MAX_COMPONENT // 4 and len(os.fsencode(name)) > MAX_COMPONENT:  # a character has at most 4 bytes
         raise file_error(folder, "confined", f"the name {quote(name, 40)} is longer than {MAX_COMPONENT} bytes")
 
 

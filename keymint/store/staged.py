@@ -75,7 +75,7 @@ class FolderContent:
         own: number of the last change here.
     """
 
-    files: dict[str, File] = field(default_factory=dict)
+    files: Mapping[str, File] = field(default_factory=dict)
     removed: set[str] = field(default_factory=set)
     mode: int = 0o755
     private: bool = False
@@ -86,6 +86,10 @@ class FolderContent:
     def size(self) -> int:
         """Return the number of files that are written here or below."""
         return len(self.files) + sum(inner.size() for inner in self.folders.values())
+
+    def writes(self) -> bool:
+        """Tell whether a file is written here or below."""
+        return bool(self.files) or any(inner.writes() for inner in self.folders.values())
 
     def removes(self) -> bool:
         """Tell whether a file is removed here or below."""
@@ -128,7 +132,7 @@ class Staging:
             try:
                 for root, tree in self._trees.items():
                     # What is only removed creates no root.
-                    if tree.size() or os.path.lexists(root):
+                    if tree.writes() or os.path.lexists(root):
                         self._inside(folders.open(root), root, tree)
                 for order, folder, change, private in self._kept:
                     if change.files or os.path.lexists(folder):
@@ -163,10 +167,10 @@ class Staging:
             content = inner
         content.own = order
         content.removed.difference_update(change.files)
-        content.files.update(change.files)
-        for name in change.removed:
-            content.files.pop(name, None)
-        content.removed.update(change.removed)
+        content.files = {**content.files, **change.files} if content.files else change.files
+        if change.removed:
+            content.files = {name: file for name, file in content.files.items() if name not in change.removed}
+            content.removed.update(change.removed)
         content.private = content.private or private
 
     # -- how it is staged ----------------------------------------------------------------------------------------
@@ -192,7 +196,7 @@ class Staging:
         shown = f"{around}/{name}"
         with reported(shown):
             if content.removes():
-                if not content.size() and _is_emptied(old, content):
+                if not content.writes() and _is_emptied(old, content):
                     gone = dict(content.changed())
                     self._exchanges.append(Exchange(content.order, around, name, None, replaces=True, changed=gone))
                     return
@@ -336,7 +340,7 @@ def _add_folders(
 ) -> None:
     """Create the new subfolders of a staged folder."""
     for name, inner in content.folders.items():
-        if inner.size() and name not in staged:
+        if inner.writes() and name not in staged:
             place = f"{shown}/{name}"
             status = add(parent, name, place, inner, seen)
             # Its times stay when a folder around it is renamed; another process may add a folder to one with folders.
@@ -359,13 +363,17 @@ def add(
     Raises:
         KeymintError: the system refuses. The caller must remove what was created so far.
     """
+    mode = 0o700 if content.private else content.mode
     with reported(shown):
-        os.mkdir(name, 0o700, dir_fd=parent)
-        with open_at(name, parent) as new:
+        os.mkdir(name, mode, dir_fd=parent)
+        new = os.open(name, FOLDER, dir_fd=parent)
+        try:
             files = {inner: file_writing.create(new, shown, inner, file) for inner, file in content.files.items()}
-            _add_folders(new, shown, content, (), seen)
-            os.fchmod(new, 0o700 if content.private else content.mode)
-            return new_status(os.fstat(new), files, content.folders)
+            if content.folders:
+                _add_folders(new, shown, content, (), seen)
+            return new_status(file_writing.with_mode(new, mode), files, content.folders)
+        finally:
+            os.close(new)
 
 
 def _link(old: int, new: int, shown: str, name: str) -> None:

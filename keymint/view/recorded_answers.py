@@ -368,7 +368,7 @@ def new_status(
         return None
     names = one_of(tuple(sorted(files)))
     rows = [_STATUS(own), *[_STATUS(files[name]) for name in names]]
-    newest = max([max(mtime, ctime) for _, _, _, _, mtime, ctime, _, _ in rows])
+    newest = max([ctime for _, _, _, _, _, ctime, _, _ in rows])  # of what is new, the content does not change later
     return FolderStatus(_digest(rows), newest, names, tuple(sorted(folders)))
 
 

@@ -375,7 +375,7 @@ def test_whichever_call_fails_files_are_whole_and_it_is_said_in_one_line(
                 raise OSError(refusal, os.strerror(refusal))
             return real(*arguments, **options)
 
-        with monkeypatch.context() as patch:
+        with monkeypatch.context() as patch, umask(0o077):  # so that modes must be set
             patch.setattr(os, call, failing)
             try:
                 everything(store, root)

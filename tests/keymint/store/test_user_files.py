@@ -94,7 +94,7 @@ def test_after_an_error_the_target_is_as_it_was(tmp_path: Path, monkeypatch: pyt
     def refused(*_: Any, **__: Any) -> None:
         raise OSError(28, "No space left on device")
 
-    for call in ("fsync", "rename", "fchmod"):
+    for call in ("write", "fsync", "rename"):
         with monkeypatch.context() as patch:
             patch.setattr(os, call, refused)
             with pytest.raises(KeymintError, match="No space left"):
