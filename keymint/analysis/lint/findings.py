@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 
 from comarmor.errors import Diagnostic, Origin, Spot
 from comarmor.text import first_few
@@ -44,9 +45,12 @@ class ExpressionOrigins:
     """
 
     def __init__(self, written: PolicyStructure | None) -> None:
-        self._clauses: dict[Origin, WrittenRule] = {
-            clause.rule.origin: clause for clause in (written.clauses if written else ())
-        }
+        self._written = written
+
+    @cached_property
+    def _clauses(self) -> Mapping[Origin, WrittenRule]:
+        """The rules as they are written, by their origin; most policies have no finding that asks for them."""
+        return {clause.rule.origin: clause for clause in (self._written.clauses if self._written else ())}
 
     def clause(self, rule: Rule, attachment: ExpressionOrigin) -> tuple[WrittenRule, int] | None:
         """Return the clause of a rule, and the index of the expression of an attachment; None if unknown."""

@@ -16,12 +16,14 @@ from comarmor.patterns.glob import parse
 from comarmor.patterns.possible_names import advice
 from comarmor.patterns.relations import TooComplexError
 from comarmor.patterns.steps import step_limit
+from comarmor.rules import is_fully_qualified
 from comarmor.text import did_you_mean
 from keymint.analysis.lint.attachment_mistakes import attachment_mistakes
 from keymint.analysis.lint.findings import ExpressionOrigins, quoted_list, undecided_note
 from keymint.analysis.lint.name_similarity import similar_names, similar_subjects
 from keymint.analysis.lint.object_mistakes import object_mistakes
 from keymint.analysis.lint.redundant_rules import MOST_PAIRS, RedundantRules, can_name_exist, within_bounds
+from keymint.analysis.rule_lists import RAW
 from keymint.analysis.subject_patterns import (
     ROOT_ENCLAVE,
     can_exist,
@@ -73,16 +75,15 @@ def sorted_diagnostics(diagnostics: Iterable[Diagnostic]) -> list[Diagnostic]:
 
 def _names(subjects: Mapping[str, tuple[Rule, ...]], attachments: ExpressionOrigins) -> Iterator[Diagnostic]:
     """Yield expressions that no object can match, for any subject."""
-    verdicts: dict[tuple[Spot, str], tuple[bool, Rule, str]] = {}
+    odd: dict[tuple[Spot, str], tuple[Rule, str]] = {}
     for subject, rules in subjects.items():
         for rule in rules:
             for expression in rule.expressions:
-                key = (rule.origin.spot, expression)
-                if key not in verdicts:
-                    verdicts[key] = (can_name_exist(rule, expression), rule, subject)
-    for (_, expression), (possible, rule, subject) in verdicts.items():
-        if not possible:
-            help_ = "remove it" if rule.kind == "topic" else advice(expression)
+                if rule.kind == RAW or not is_fully_qualified(expression):
+                    odd.setdefault((rule.origin.spot, expression), (rule, subject))
+    for (_, expression), (rule, subject) in odd.items():
+        if not can_name_exist(rule, expression):
+            help_ = "remove it" if rule.kind == RAW else advice(expression)
             message = f"no legal object name matches {expression!r} in this {rule.effect} {rule.kind} rule"
             yield Diagnostic.warning("object-never", message, attachments.of(rule, subject)[expression].where, help_)
 

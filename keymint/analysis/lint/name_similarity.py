@@ -58,17 +58,19 @@ def similar_names(subjects: Mapping[str, tuple[Rule, ...]], attachments: Express
 
     reported: set[frozenset[str]] = set()
     given_up: list[str] = []
+    lone = {each: {name: None for name in exact[each] if has_no_peer(each, name)} for each in _PEERS}
     for permission, other in _PEERS.items():
-        lone = {name: None for name in exact[other] if has_no_peer(other, name)}
-        candidates, paired = CandidateNames(lone), CandidateNames(name for name in exact[other] if name not in lone)
-        for name, (subject, rule, text) in exact[permission].items():
-            if not has_no_peer(permission, name):
-                continue
+        if not lone[permission]:
+            continue
+        candidates = CandidateNames(lone[other])
+        paired = CandidateNames(name for name in exact[other] if name not in lone[other])
+        for name in lone[permission]:
             near = candidates.nearest(name, MOST_EDITS, given_up)
             if not near:
                 near = paired.nearest(name, MOST_EDITS, given_up)
                 near = near if near and _is_slip(name, near) else None
             if near and frozenset((name, near)) not in reported:
+                subject, rule, text = exact[permission][name]
                 reported.add(frozenset((name, near)))
                 peer, peer_rule, peer_text = exact[other][near]
                 peer_place = attachments.of(peer_rule, peer)[peer_text].where.alone()

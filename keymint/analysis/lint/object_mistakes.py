@@ -66,17 +66,19 @@ def object_mistakes(
         return attachments.of(rule, subject)[text].where
 
     yield from (_of_all(each, place(each)) for each in expressions if _is_wide(*each[:2]))
-    served = [text for rule, text, _ in expressions if "ros_execute" in rule.permissions]
-    index = PatternIndex((parse(text), None) for text in served)
-    nodes = {text.removesuffix(_SERVED) for text in served if text.endswith(_SERVED)}
-    for each in expressions:
-        if each[0].kind == "ros_parameter" and not any(True for _ in index.meeting(parse(each[1] + _SERVED))):
-            yield from _of_parameter(each, place(each), nodes)
+    if parameters := [each for each in expressions if each[0].kind == "ros_parameter"]:
+        served = [text for rule, text, _ in expressions if "ros_execute" in rule.permissions]
+        index = PatternIndex((parse(text), None) for text in served)
+        nodes = {text.removesuffix(_SERVED) for text in served if text.endswith(_SERVED)}
+        for each in parameters:
+            if not any(True for _ in index.meeting(parse(each[1] + _SERVED))):
+                yield from _of_parameter(each, place(each), nodes)
     yield from _uncalled(policy, allowed, others)
 
 
 def _is_wide(rule: Rule, text: str) -> bool:
-    return not rule.audit and parse(text) in _EVERY_NAME and not _READING.issuperset(rule.permissions)
+    every = "*" in text and parse(text) in _EVERY_NAME
+    return every and not rule.audit and not _READING.issuperset(rule.permissions)
 
 
 def _of_all(found: _Expression, where: Origin) -> Diagnostic:

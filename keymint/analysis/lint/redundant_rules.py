@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import cache, cached_property
 from itertools import groupby
 from operator import itemgetter
 from typing import NamedTuple
@@ -19,7 +20,8 @@ from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.proofs import escapes
 from comarmor.patterns.relations import TooComplexError
 from comarmor.patterns.steps import StepLimitError, step_limit
-from comarmor.rules import Effect
+from comarmor.patterns.tokens import SPECIAL
+from comarmor.rules import Effect, parts
 from keymint.analysis.lint.findings import ExpressionOrigin, ExpressionOrigins, quoted_list, undecided_note
 from keymint.analysis.rule_lists import (
     PermissionKey,
@@ -95,8 +97,24 @@ class _RuleAnalysis:
         return self._index[key, effect]
 
 
+def _repeat_nothing(rules: Iterable[Rule]) -> bool:
+    """Return True if each rule of a subject surely has an effect: it allows names, and no two allow the same name."""
+    words: list[tuple[str, str, str]] = []
+    for rule in rules:
+        if rule.effect is Effect.DENY or rule.partitions or any(map(SPECIAL.search, rule.expressions)):
+            return False
+        every_part = [each for permission in rule.permissions for each in parts(rule.kind, permission)]
+        if not every_part:
+            return False
+        words += [(kind, part, text + suffix) for kind, part, suffix in every_part for text in rule.expressions]
+    return len(set(words)) == len(words)
+
+
 class RedundantRules:
     """Finds rules without effect.
+
+    An expression that has an effect for one subject needs it. So subjects whose rules repeat nothing, as most in a
+    fleet, are looked at only for what they share with others.
 
     Args:
         subjects: rules of each subject.
@@ -108,11 +126,14 @@ class RedundantRules:
         self, subjects: Mapping[str, tuple[Rule, ...]], attachments: ExpressionOrigins, written: PolicyStructure | None
     ) -> None:
         self._attachments = attachments
-        self._book = SymbolicRules(written) if written else None
-        self._subjects = {
-            subject: _RuleAnalysis(rules, subject, attachments)
-            for subject, rules in with_distinct_rules(subjects.items())
-        }
+        self._written = written
+        self._plain: dict[str, tuple[Rule, ...]] = {}
+        self._subjects: dict[str, _RuleAnalysis] = {}
+        for subject, rules in with_distinct_rules(subjects.items()):
+            if _repeat_nothing(rules):
+                self._plain[subject] = rules
+            else:
+                self._subjects[subject] = _RuleAnalysis(rules, subject, attachments)
         self._subjects_of: dict[_RuleExpression, list[str]] = defaultdict(list)
         for subject, its_rules in self._subjects.items():
             for each in its_rules.expanded:
@@ -120,6 +141,24 @@ class RedundantRules:
         self._count_of_rule = Counter((each.place, each.effect) for each in self._subjects_of)
         self._removed: set[_RuleExpression] = set()
         self._unknown: list[_RuleExpression] = []
+        self._expanded = cache(lambda subject: _RuleAnalysis(self._plain[subject], subject, attachments).expanded)
+
+    @cached_property
+    def _book(self) -> SymbolicRules | None:
+        return SymbolicRules(self._written) if self._written else None
+
+    @cached_property
+    def _plain_at(self) -> Mapping[Spot, Mapping[str, None]]:
+        """The subjects that repeat nothing, by the places of their rules."""
+        found: dict[Spot, dict[str, None]] = defaultdict(dict)
+        for subject, rules in self._plain.items():
+            for rule in rules:
+                found[rule.origin.spot][subject] = None
+        return found
+
+    def _is_needed(self, expression: _RuleExpression) -> bool:
+        """Return True if a subject that repeats nothing has an expression."""
+        return any(expression in self._expanded(subject) for subject in self._plain_at.get(expression.place, ()))
 
     def findings(self) -> Iterator[Diagnostic]:
         """Yield findings: one for a rule if it concerns all its expressions, else one for each attachment.
@@ -132,12 +171,13 @@ class RedundantRules:
             for each in sorted(
                 self._subjects_of, key=lambda each: (each.place, each.attached, each.number), reverse=True
             ):
-                code = self._code_or_unknown(each)
+                code = "" if self._is_needed(each) else self._code_or_unknown(each)
                 if code:
                     self._removed.add(each)
                     by_code[each.place, code].append(each)
         for (place, code), expressions in by_code.items():
-            if self._count_of_rule[place, expressions[0].effect] == len(expressions):
+            number = self._count_of_rule[place, expressions[0].effect]
+            if number == len(expressions) and place not in self._plain_at:
                 yield self._finding(code, expressions[::-1], of_rule=True)
                 continue
             by_attachment: dict[Spot, list[_RuleExpression]] = defaultdict(list)
