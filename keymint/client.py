@@ -33,7 +33,6 @@ from keymint.life.terms import DEFAULT, Threshold
 from keymint.names import package_name, subject_of
 from keymint.output.console import Streams
 from keymint.output.report import Report
-from keymint.pki import cms
 from keymint.run.run import Run
 from keymint.stages.pipeline import CREATE, INSTALL, Request, conduct
 from keymint.stages.work import InstallRequest, Work
@@ -188,7 +187,6 @@ class Client:
     def _run(self, verb: str, *arguments: str, yes: bool = False) -> Run:
         setting = cli.setting(cli.call_of(("client", verb, *arguments)), Streams(io.StringIO(), io.StringIO()))
         options = {"quiet": True, "verbose": 0, "as_json": False, "workspace": self._folder, "jobs": 1, "yes": yes}
-        cms.begin_run()
         self._latest = Run(setting, verb, options)
         return self._latest
 

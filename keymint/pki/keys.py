@@ -103,7 +103,7 @@ def is_in_memory(key: PrivateKey) -> bool:
 
 
 def signature_over(data: bytes, key: PrivateKey, digest: hashes.HashAlgorithm) -> bytes:
-    """Return the signature of a key in memory: ECDSA, or RSA with PKCS #1 v1.5."""
+    """Return the signature of a key: ECDSA, or RSA with PKCS #1 v1.5."""
     if isinstance(key, ec.EllipticCurvePrivateKey):
         return key.sign(data, ec.ECDSA(digest))
     return key.sign(data, padding.PKCS1v15(), digest)
