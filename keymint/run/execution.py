@@ -3,10 +3,10 @@
 
 What the command will print if it is given again is recorded, so that it need not be carried out; see ADR 0002.
 
-Each process plans a part of the packages, and keeps the bytes that it planned until these are written. They are forked,
-so that they begin with everything that was loaded. They send plans without bytes, so no key leaves them. Nothing is
-written until the plans of all packages have arrived and are right; then each process stages its part, and the parent
-commits all parts together.
+Each process plans a part of the packages, and keeps the bytes that it planned until these are written; so does the
+parent. The others are forked, so that they begin with everything that was loaded. They send plans without bytes, so no
+key leaves them. Nothing is written until the plans of all packages have arrived and are right; then each process stages
+its part, and the parent commits all parts together.
 
 A process goes through all stages with some hundred packages, packs what it planned for them, and begins with the next
 ones: so its memory has no more than these in full.
@@ -25,8 +25,9 @@ import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from datetime import datetime
+from functools import partial
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from keymint.authority.authorities import STAGE as AUTHORITIES
 from keymint.errors import KeymintError, process_ended
@@ -58,17 +59,22 @@ FIRST = 8
 """Packages that are planned before the processes start, which begin with what was learned of their kinds."""
 MOST_PACKAGES = 512
 """About how many packages a process has in full."""
+COMMON_WORK = 0.15
+"""What the parent does for all packages while they are planned, compared with planning them."""
 
 _PART, _DONE, _REFUSED, _CRASHED = "part", "done", "refused", "crashed"
 """Kinds of answers of a process: some plans of a stage, the last ones, and errors."""
 _Stages = Sequence[Callable[[Session], PackageStage]]
+_Answer = TypeVar("_Answer")
+_Changes = Sequence[Sequence[Iterable[FolderChange]]]
+"""The changes of each stage, in parts."""
 
 
 class Workers(Crew):
-    """The processes of one run; without any, the caller's process plans everything.
+    """The processes of one run, the caller's included; if it starts no others, it plans everything.
 
     Args:
-        count: the most processes to start.
+        count: the most processes.
         monotonic: returns seconds.
     """
 
@@ -78,10 +84,16 @@ class Workers(Crew):
         self._have_staged = False
         self._processes: list[Any] = []
         self._pipes: list[Connection] = []
+        self._own: list[tuple[Any, ...]] = []
+        """What this process answers itself."""
+        self._sources: Sequence[Callable[[], Any]] = ()
+        """What returns the next answer of each process, this one first."""
+        self._changes: _Changes = ()
 
     def start(self, session: Session, names: Sequence[str], stages: _Stages) -> None:
         """See :meth:`keymint.stages.work.Crew.start`."""
-        parts = _parts(names, self._count)
+        own = max(0.0, (1 - COMMON_WORK * (self._count - 1)) / self._count)
+        parts = _parts(names, [own, *[(1 - own) / (self._count - 1)] * (self._count - 1)] if self._count > 1 else [1])
         # A thread of this process would not be there in a forked one, but the locks that it holds would.
         if len(names) < MIN_PACKAGES or len(parts) == 1 or threading.active_count() > 1 or not hasattr(os, "fork"):
             return
@@ -98,7 +110,7 @@ class Workers(Crew):
                 pass
         _trim()  # the processes inherit what the parsed policy took and is free
         context = multiprocessing.get_context("fork")
-        for part in parts:
+        for part in parts[1:]:
             here, there = context.Pipe()
             process = context.Process(target=_work, args=(there, [*self._pipes, here], session, part, stages, self.new))
             with held_signals():  # the process keeps them blocked: this one decides
@@ -106,12 +118,23 @@ class Workers(Crew):
             there.close()
             self._processes.append(process)
             self._pipes.append(here)
+        self._sources = [lambda: self._own.pop(0), *(partial(_received, pipe) for pipe in self._pipes)]
+        with self._own_refusal():
+            self._changes = _planned_in_parts(self._own.append, _as_it_is, session, parts[0], stages, self.new)
+
+    @contextlib.contextmanager
+    def _own_refusal(self) -> Iterator[None]:
+        """Answer that this process cannot do its part, if so."""
+        try:
+            yield
+        except KeymintError as error:
+            self._own.append((_REFUSED, error.diagnostics, error.exit_code))
 
     def planned(self, stage: PackageStage, names: Sequence[str]) -> list[Any]:
         """See :meth:`keymint.stages.work.Crew.planned`."""
         if not self._pipes:
             return super().planned(stage, names)
-        return [each for pipe in self._pipes for part in _answers(pipe) for each in part]
+        return [each for source in self._sources for part in _answers(source) for each in part]
 
     def stage(self, store: Store) -> list[Exchange]:
         """Let the processes stage what they planned, and return it in the order of stages.
@@ -128,9 +151,11 @@ class Workers(Crew):
                 pipe.send(None)
         by_process: list[list[Sequence[Exchange]]] = []
         errors: list[KeymintError] = []
-        for pipe in self._pipes:
+        with self._own_refusal():
+            self._own.append((_DONE, _staged_parts(store, self._changes)))
+        for source in self._sources:
             try:
-                by_process += _answers(pipe)
+                by_process += _answers(source)
             except KeymintError as error:
                 errors.append(error)
         if errors:
@@ -144,7 +169,7 @@ class Workers(Crew):
         if not self._have_staged:
             return {}
         with contextlib.suppress(KeymintError):  # a process ended: then the folders are looked at again
-            return dict(item for pipe in self._pipes for part in _answers(pipe) for item in part)
+            return dict(item for source in self._sources[1:] for part in _answers(source) for item in part)
         return {}
 
     def give_up(self) -> None:
@@ -161,6 +186,8 @@ class Workers(Crew):
             process.join()
         self._processes.clear()
         self._pipes.clear()
+        self._own.clear()
+        self._changes = ()
 
 
 def _trim() -> None:
@@ -169,15 +196,16 @@ def _trim() -> None:
         trim(0)
 
 
-def _parts(names: Sequence[str], count: int) -> list[list[str]]:
-    """Divide sorted names into parts of similar size; what lies in one folder stays together, below a common one."""
+def _parts(names: Sequence[str], shares: Sequence[float]) -> list[list[str]]:
+    """Divide sorted names by shares, about; what lies in one folder stays together, below a common one."""
     common = os.path.commonpath([name.rpartition("/")[0] for name in names]) if names else ""
     level = common.count("/") + 1 if common else 0
-    parts: list[list[str]] = [[]]
+    parts, ends, done = [list[str]()], [*itertools.accumulate(shares)], 0
     for _, group in itertools.groupby(names, key=lambda name: name.split("/")[level]):
-        if len(parts) < count and len(parts[-1]) * count >= len(names):
+        if len(parts) < len(shares) and done >= ends[len(parts) - 1] * len(names):
             parts.append([])
-        parts[-1] += group
+        parts[-1] += (of_group := [*group])
+        done += len(of_group)
     return parts
 
 
@@ -229,12 +257,20 @@ class PackedChanges:
             yield replace(each, files={**each.files, **secret}) if secret else each
 
 
-def _answers(pipe: Connection) -> Iterator[list[Any]]:
-    """Yield the parts of what a process answers."""
+def _as_it_is(*answer: object) -> tuple[Any, ...]:
+    return answer
+
+
+def _received(pipe: Connection) -> Any:
+    return pickle.loads(pipe.recv_bytes())  # noqa: S301 - from a process that this one forked
+
+
+def _answers(receive: Callable[[], Any]) -> Iterator[list[Any]]:
+    """Yield the parts of what a process answers, each as it was received."""
     kind = _PART
     while kind == _PART:
         try:
-            kind, *answer = pickle.loads(pipe.recv_bytes())  # noqa: S301 - from a process that this one forked
+            kind, *answer = receive()
         except (EOFError, OSError):
             raise process_ended("worker-ended") from None
         if kind == _REFUSED:
@@ -264,11 +300,10 @@ def _work(
         each.close()
     with contextlib.suppress(EOFError, OSError):
         try:
-            changes = _planned_in_parts(pipe.send_bytes, session, names, stages, new)
+            changes = _planned_in_parts(pipe.send_bytes, _pickled, session, names, stages, new)
             pipe.recv()
             store = open_store(session.workspace)
-            staged = [[each for part in of_stage for each in store.stage(part)] for of_stage in changes]
-            pipe.send_bytes(_pickled(_DONE, staged))
+            pipe.send_bytes(_pickled(_DONE, _staged_parts(store, changes)))
             pipe.send_bytes(_pickled(_DONE, [*store.seen.items()]))
         except KeymintError as error:
             pipe.send_bytes(_pickled(_REFUSED, error.diagnostics, error.exit_code))
@@ -278,16 +313,35 @@ def _work(
             pipe.send_bytes(_pickled(_CRASHED, f"{type(error).__name__}: {error}", traceback.format_exc()))
 
 
+def _staged_parts(store: Store, changes: _Changes) -> list[list[Exchange]]:
+    """Stage what one process planned, by stage."""
+    return [[each for part in of_stage for each in store.stage(part)] for of_stage in changes]
+
+
 def _planned_in_parts(
-    send: Callable[[memoryview], None], session: Session, names: Sequence[str], stages: _Stages, new: NewPackages | None
-) -> list[list[Iterable[FolderChange]]]:
+    send: Callable[[_Answer], None],
+    pack: Callable[..., _Answer],
+    session: Session,
+    names: Sequence[str],
+    stages: _Stages,
+    new: NewPackages | None,
+) -> _Changes:
     """Plan packages part by part, send the plans of all of them stage by stage, and return the changes of each stage.
+
+    Args:
+        send: sends an answer.
+        pack: makes an answer of its kind and some plans.
+        session: the workspace and its profile.
+        names: the packages.
+        stages: what makes each stage, in their order.
+        new: the packages that are new, if some may be.
 
     Raises:
         KeymintError: a stage cannot plan; the plans of all stages before it are sent.
     """
-    parts = _parts(names, -(-len(names) // MOST_PACKAGES))
-    answers: list[list[memoryview]] = [[] for _ in stages]
+    number_of_parts = max(1, round(len(names) / MOST_PACKAGES))
+    parts = _parts(names, [1 / number_of_parts] * number_of_parts)
+    answers: list[list[_Answer]] = [[] for _ in stages]
     changes: list[list[Iterable[FolderChange]]] = [[] for _ in stages]
     refused: KeymintError | None = None
     for part in parts:
@@ -301,7 +355,7 @@ def _planned_in_parts(
             except StopIteration:  # a package has errors, which the parent reports without what comes after it
                 refused = None
             else:
-                of_stage.append(_pickled(_DONE if is_last else _PART, plans))
+                of_stage.append(pack(_DONE if is_last else _PART, plans))
                 changes[number].append(PackedChanges(changed) if len(parts) > 1 else changed)
                 while is_last and of_stage:
                     send(of_stage.pop(0))
