@@ -16,13 +16,15 @@ import functools
 from collections.abc import Callable, Iterable
 from dataclasses import field
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypeVar
 
 from comarmor.patterns.tokens import SPECIAL
 from comarmor.rules import Effect, Rule
 from comarmor.values import dataclass
 
-__all__ = ["Arguments", "DeferredRules", "Kind", "Rule", "SubjectRules", "kind_of"]
+__all__ = ["Arguments", "DeferredRules", "Kind", "Rule", "SubjectRules", "kind_of", "once_of_kind"]
+
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,19 +74,23 @@ class DeferredRules(SubjectRules):
     """
 
     __slots__ = ("_read",)
-    _read: Callable[[], tuple[Rule, ...]]
+    _read: Callable[[], tuple[Rule, ...]] | tuple[Rule, ...]
 
     def __init__(
         self, subject: str, read: Callable[[], tuple[Rule, ...]], kind: tuple[Kind, Arguments] | None = None
     ) -> None:
         object.__setattr__(self, "subject", subject)
         object.__setattr__(self, "_kind", kind)
-        object.__setattr__(self, "_read", functools.cache(read))
+        object.__setattr__(self, "_read", read)
 
     @property
     def rules(self) -> tuple[Rule, ...]:
         """The rules, in the order of the policy."""
-        return self._read()
+        read = self._read
+        if not isinstance(read, tuple):
+            read = read()
+            object.__setattr__(self, "_read", read)
+        return read
 
 
 KindRule = tuple[Effect, str, tuple[str, ...], tuple[str | int, ...], tuple[str, ...], bool]
@@ -126,7 +132,29 @@ def _numbered(text: str, numbers: dict[str, int]) -> str | int:
     return ~numbers.setdefault(text, len(numbers)) if is_argument else text
 
 
-@lru_cache(maxsize=1 << 12)
+_MOST_KINDS = 1 << 12
+
+
+def once_of_kind(make: Callable[[Kind], _T]) -> Callable[[Kind], _T]:
+    """Let a function of a kind make each result once; a decorator.
+
+    Equal kinds are one object, by which results are known: to hash a kind costs as much as all else.
+    """
+    made: dict[int, tuple[Kind, _T]] = {}
+
+    @functools.wraps(make)
+    def known(kind: Kind) -> _T:
+        found = made.get(id(kind))
+        if found is None:
+            if len(made) >= _MOST_KINDS:
+                made.clear()
+            found = made[id(kind)] = kind, make(kind)
+        return found[1]
+
+    return known
+
+
+@lru_cache(maxsize=_MOST_KINDS)
 def _shared(kind: Kind) -> Kind:
     """Return one object for equal kinds, so that they are compared, and kept, once."""
     return kind

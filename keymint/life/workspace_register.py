@@ -168,8 +168,10 @@ def _restored(session: Session, *, lossy: bool) -> Register:
         KeymintError: a package was revoked, but no list has a serial number of it, or the certificate with this number
             is not known; then it is not known which key must not be certified again.
     """
-    there = enclave_names(session)
-    lost = [name for name in session.packages() if session.issuance(name).generation]
+    there, tree = enclave_names(session), session.tree
+    files = {name: f"{session.workspace.src}/{name}/{session.package_type.ISSUANCE}" for name in session.packages()}
+    decided = [name for name, file in files.items() if tree.has_file(file) or tree.status(file)]  # new ones have none
+    lost = [name for name in decided if session.issuance(name).generation]
     register = Register(is_whole=not (there or lost)).with_issued(_found(session, there))
     register = register.with_rights(_rights_found(session))
     gone = frozenset(lost).difference(there) if lossy else ()

@@ -134,11 +134,11 @@ class CommonParts(NamedTuple):
         """Tell whether these are the parts of another certificate, too."""
         return other is not None and self[:-1] == other[:-1]
 
-    def fill(self, subject: x509.Name, public: bytes, signer: keys.PrivateKey) -> tuple[bytes, int]:
+    def fill(self, subject: bytes, public: bytes, signer: keys.PrivateKey) -> tuple[bytes, int]:
         """Return a certificate in DER, as the library would write it, at a third of the cost; and its serial number.
 
         Args:
-            subject: the subject.
+            subject: the subject, in DER.
             public: the key to certify, in DER.
             signer: the issuer's private key.
         """
@@ -148,7 +148,7 @@ class CommonParts(NamedTuple):
             self.version,
             der.tlv(der.INTEGER, serial.to_bytes(serial.bit_length() // 8 + 1, "big")),
             self.middle,
-            subject.public_bytes(),
+            subject,
             public,
             self.before,
             key_identifier(public),
@@ -157,12 +157,12 @@ class CommonParts(NamedTuple):
         signature = keys.signature_over(body, signer, self.digest)
         return der.tlv(der.SEQUENCE, body, self.algorithm, der.tlv(der.BIT_STRING, b"\0", signature)), serial
 
-    def are_in(self, content: bytes, subject: x509.Name, public: bytes, issuer: keys.PublicKey) -> bool:
+    def are_in(self, content: bytes, subject: bytes, public: bytes, issuer: keys.PublicKey) -> bool:
         """Return whether a certificate has these parts, a serial number, what is given, and nothing else.
 
         Args:
             content: the certificate in DER.
-            subject: the subject that it must have.
+            subject: the subject that it must have, in DER.
             public: the key that it must certify, in DER.
             issuer: the key that must have signed it.
 
@@ -171,7 +171,7 @@ class CommonParts(NamedTuple):
         """
         body, algorithm, signature = der.elements(der.single(content, der.SEQUENCE))
         version, serial, *middle, name, key, more = der.elements(der.single(body, der.SEQUENCE))
-        own = self.version, self.algorithm, self.middle, subject.public_bytes(), public
+        own = self.version, self.algorithm, self.middle, subject, public
         number = int.from_bytes(der.single(serial, der.INTEGER), "big", signed=True)
         value = der.single(signature, der.BIT_STRING)
         return (

@@ -243,14 +243,14 @@ def issue(
 
 
 def is_like(
-    pem: bytes, parts: certificate_forms.CommonParts, subject: x509.Name, public: bytes, issuer: x509.Certificate
+    pem: bytes, parts: certificate_forms.CommonParts, subject: bytes, public: bytes, issuer: x509.Certificate
 ) -> bool:
     """Return whether a file is a certificate that its issuer signed, and differs from another one as it must.
 
     Args:
         pem: the file.
         parts: what it must share with the other one.
-        subject: its subject.
+        subject: its subject, in DER.
         public: the key that it must certify, in DER.
         issuer: the certificate of its issuer, which the other one was verified with.
     """

@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from functools import lru_cache
+from typing import NamedTuple
 
 from cryptography import x509
 from cryptography.x509.oid import NameOID
@@ -20,6 +21,7 @@ from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
 from comarmor.text import did_you_mean, quote
 from keymint.errors import KeymintError
+from keymint.pki import der
 
 MAX_COMMON_NAME = 64
 """ub-common-name of RFC 5280, appendix A.1."""
@@ -80,6 +82,9 @@ _PLAIN = lazy_regex(r"[A-Za-z0-9/_.-]+")
 """Values in which nothing is escaped: without ``=``, no ``/`` begins an attribute."""
 _SIMPLE = lazy_regex(r"[A-Za-z]+=[A-Za-z0-9/_.-]+(?:,[A-Za-z]+=[A-Za-z0-9/_.-]+)*")
 """Names of such values only."""
+_USUAL = lazy_regex(r"(?:CN|OU)=[A-Za-z0-9/_.-]{1,64}(?:,(?:CN|OU)=[A-Za-z0-9/_.-]{1,64})*")
+"""Names of which all forms are known without the library."""
+_USUAL_TYPES = {"CN": der.oid("2.5.4.3"), "OU": der.oid("2.5.4.11")}
 _EXAMPLE = "write e.g. CN=/robot/camera,OU=x1 or /C=US/O=Acme/CN=ca"
 
 
@@ -108,6 +113,36 @@ def _parsed(text: str) -> x509.Name:
     if not text.strip():
         raise KeymintError("a subject name is empty", help=_EXAMPLE, code="name-invalid")
     return x509.Name([_attribute(kind, value, text) for kind, value in _pairs(text)])
+
+
+class WrittenName(NamedTuple):
+    """A name in the forms in which it is written.
+
+    Attributes:
+        encoded: in DER.
+        text: as :func:`to_text` writes it.
+        values: those of its values in which nothing is escaped, in certificate order.
+    """
+
+    encoded: bytes
+    text: str
+    values: tuple[str, ...]
+
+
+@lru_cache(maxsize=1024)
+def written_name(text: str) -> WrittenName:
+    """Return a name in the forms in which it is written; errors as :func:`parse`, without a place."""
+    if not _USUAL.fullmatch(text):
+        name = _parsed(text)
+        plain = tuple(value for _, value in attributes(name) if _PLAIN.fullmatch(value))
+        return WrittenName(name.public_bytes(), to_text(name), plain)
+    values, encoded = list[str](), b""
+    for part in text.split(","):
+        kind, _, value = part.partition("=")
+        attribute = der.tlv(der.SEQUENCE, _USUAL_TYPES[kind], der.tlv(der.UTF8_STRING, value.encode()))
+        encoded += der.tlv(der.SET, attribute)
+        values.append(value)
+    return WrittenName(der.tlv(der.SEQUENCE, encoded), text, tuple(values))
 
 
 def attributes(name: x509.Name) -> Iterator[tuple[str, str]]:

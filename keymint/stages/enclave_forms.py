@@ -82,7 +82,7 @@ class EnclaveForm:
         """
         identity, entry, files = new.package.identity, self.issued, dict[str, File]()
         (key,) = new.key.files.values()
-        subject = distinguished_names.parse(identity.subject_name, identity.origin)
+        subject, holder, _ = distinguished_names.written_name(identity.subject_name)
         signing_key = authorities[identity.issuer].issuer.key
         certificate, serial = self.parts.fill(subject, keys.public_der_of_file(key.content), signing_key)
         documents = {name: each.content for name, each in new.documents.items()}
@@ -98,7 +98,6 @@ class EnclaveForm:
                 files[name] = File(signed, replaces_link=True)
             else:
                 files[name] = File(contents[file.part], secret=file.part is Part.KEY, replaces_link=True)
-        holder = distinguished_names.to_text(subject)
         rights = (
             SignedRights.of(new.name, entry.generation, holder, end, documents[name]) for name, end in self.rights
         )
@@ -116,7 +115,7 @@ class EnclaveForm:
             chains: the certificate of each authority, and those above it, PEM.
         """
         identity, (key,) = new.package.identity, (name for name, file in new.files.items() if file.secret)
-        subject = distinguished_names.parse(identity.subject_name, identity.origin)
+        subject = distinguished_names.written_name(identity.subject_name).encoded
         public = keys.public_der_of_file(new.files[key].content)
         issuer = certificates.load_bundle(chains[identity.issuer])[0]
         if any(new.documents.get(name) != document for name, document in self.documents.items()):
@@ -184,7 +183,7 @@ def _parts(new: NewPackage) -> CommonParts | None:
 def _rights(enclave: _Enclave) -> tuple[tuple[str, datetime], ...] | None:
     """Return the rights of an enclave as :attr:`EnclaveForm.rights`; None if they have something else."""
     new, plan = enclave
-    subject = distinguished_names.to_text(distinguished_names.parse(new.package.identity.subject_name))
+    subject = distinguished_names.written_name(new.package.identity.subject_name).text
     names = {each.content: name for name, each in new.documents.items()}
     found = [(names.get(each.content, ""), each.not_after) for each in plan.signed]
     usual = (new.name, new.package.issuance.generation, subject, None)

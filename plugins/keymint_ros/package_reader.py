@@ -273,7 +273,9 @@ def load_like(
     if rules is None:
         return None
     values = certificate.placeholder_values(rules.subject)
-    own_identity, own_grant = (certificate.expanded_name(each, values) for each in patterns)
+    own_identity = own_grant = certificate.expanded_name(patterns[0], values)
+    if patterns[1] != patterns[0]:
+        own_grant = certificate.expanded_name(patterns[1], values)
     place = identity.origin  # in the defaults, unless the package itself says something
     if place.file.endswith(f"/{like.name}/{_IDENTITIES}"):
         place = Origin(f"{folder}/{_IDENTITIES}", place.line)

@@ -29,7 +29,7 @@ from comarmor.xml.reader import line
 from comarmor.xml.sandboxed_paths import PACKAGE
 from keymint.api.source_documents import Reader, place
 from keymint.errors import KeymintError
-from keymint.ir import DeferredRules, Rule, SubjectRules
+from keymint.ir import DeferredRules, Kind, Rule, SubjectRules, once_of_kind
 from keymint.names import name_of
 from keymint_ros import certificate
 from keymint_ros.certificate import IssuedElement
@@ -71,14 +71,23 @@ class WrittenGrant:
 
 def digest(rules: Iterable[Rule]) -> str:
     """Return the digest ``sha256:…`` of rules, independent of their order and their origins."""
-    lines = sorted(
-        [
-            f"{rule.effect}\x1f{rule.kind}\x1f{'AUDIT' if rule.audit else ''}\x1f{_joined(rule.permissions)}"
-            f"\x1f{_joined(rule.expressions)}\x1f{_joined(('', *rule.partitions))}"
-            for rule in rules
-        ]
+    around = (
+        (each.expressions, _line(each.effect, each.kind, each.permissions, each.partitions, audited=each.audit))
+        for each in rules
     )
-    return "sha256:" + hashlib.sha256("\n".join(dict.fromkeys(lines)).encode()).hexdigest()
+    return _digest_of([f"{start}{_joined(expressions)}{end}" for expressions, (start, end) in around])
+
+
+def _digest_of(lines: list[str]) -> str:
+    return "sha256:" + hashlib.sha256("\n".join(dict.fromkeys(sorted(lines))).encode()).hexdigest()
+
+
+def _line(
+    effect: Effect, kind: str, permissions: tuple[str, ...], partitions: tuple[str, ...], *, audited: bool
+) -> tuple[str, str]:
+    """Return what a digest has of a rule, before its expressions and after them."""
+    start = f"{effect}\x1f{kind}\x1f{'AUDIT' if audited else ''}\x1f{_joined(permissions)}\x1f"
+    return start, f"\x1f{_joined(('', *partitions))}"
 
 
 def _joined(texts: tuple[str, ...]) -> str:
@@ -230,8 +239,10 @@ _SPECIAL = lazy_regex('[&<>"\r\n\t]')
 _ENTITIES = str.maketrans(
     {"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;", "\r": "&#13;", "\n": "&#10;", "\t": "&#9;"}
 )
-_CHANGED = ("&", "> ", " </attachment>", " </partition>", 'origin=":', "; :")
-"""What a document has, besides characters that are not printable ASCII, if reading may change a text or a place."""
+_PLAIN = lazy_regex(r"[!#-%'-;=?-~]*")
+"""Texts, one after the other, that are written as they are, and that no reader changes."""
+_PLAIN_PLACES = lazy_regex(r"[ !#-%'-;=?-~]*")
+"""The same of places, in an attribute."""
 _MOST_RENDERED = 1 << 14
 _rendered: dict[bytes, tuple[SubjectRules, str]] = {}
 """Rules by the document that they were rendered to, for folders that origins are relative to."""
@@ -248,12 +259,28 @@ def render(rules: SubjectRules, base: str, *, name: str = "", overrides: Iterabl
     """
     head = "".join(f"      {element}\n" for element in overrides)
     chains: dict[int, str] = {}
-    body = "".join([_rule_element(rule, base, chains) for rule in rules.rules])
+    files: dict[str, str] = {}
+    elements, lines = list[str](), list[str]()
+    texts = [text for rule in rules.rules for text in (*rule.expressions, *rule.partitions)]
+    is_plain = _PLAIN.fullmatch("".join(texts)) is not None
+    for rule, (begin, rest, before, after) in zip(rules.rules, _around_expressions(rules.kind[0]), strict=True):
+        at, own = rule.origin, rule.expressions
+        chain = chains.get(id(at.chain))
+        if chain is None:
+            chain = chains[id(at.chain)] = "".join([f"; {_place(each.file, base)}:{each.line}" for each in at.chain])
+        file = files.get(at.file) or files.setdefault(at.file, _place(at.file, base))
+        lines.append(f"{before}{_joined(own)}{after}")
+        expressions = "</attachment>\n        <attachment>".join(own if is_plain else map(_text, own))
+        attachments = f"        <attachment>{expressions}</attachment>\n" if own else ""
+        elements.append(f'{begin}{file}:{at.line}{chain}">\n{attachments}{rest}')
     start, end = _head(rules.subject, name or rules.subject)
-    document = f"{start}{digest(rules.rules)}{end}{head}{body}    </grant>\n  </permissions>\n</package>\n"
+    body = "".join(elements)
+    document = f"{start}{_digest_of(lines)}{end}{head}{body}    </grant>\n  </permissions>\n</package>\n"
     content = document.encode()
-    plain = body.isascii() and body.replace("\n", "").isprintable() and not any(text in body for text in _CHANGED)
-    if plain and not head and not name and all(rule.expressions and rule.permissions for rule in rules.rules):
+    places = "".join((*files.values(), *chains.values()))
+    has_places = all(files.values()) and "; :" not in places and _PLAIN_PLACES.fullmatch(places)
+    is_usual = not head and not name and all(rule.expressions and rule.permissions for rule in rules.rules)
+    if is_plain and has_places and is_usual:
         # Reading the document gives its rules without a change of their texts.
         if len(_rendered) >= _MOST_RENDERED:
             _rendered.clear()
@@ -320,32 +347,19 @@ def _read_back(file: str, base: str) -> str:
     return origin_in_folder(base, origin).file
 
 
-def _rule_element(rule: Rule, base: str, chains: dict[int, str]) -> str:
-    start, end = _around_expressions(rule.effect, rule.kind, rule.permissions, rule.partitions, rule.audit)
-    at, texts = rule.origin, rule.expressions
-    chain = chains.get(id(at.chain))
-    if chain is None:
-        chain = chains[id(at.chain)] = "".join([f"; {_place(each.file, base)}:{each.line}" for each in at.chain])
-    if _SPECIAL.search("".join(texts)):
-        texts = tuple(map(_text, texts))
-    expressions = "</attachment>\n        <attachment>".join(texts)
-    attachments = f"        <attachment>{expressions}</attachment>\n" if texts else ""
-    return f'{start}{_place(at.file, base)}:{at.line}{chain}">\n{attachments}{end}'
-
-
-@lru_cache(maxsize=1024)
-def _around_expressions(
-    effect: Effect, kind: str, permissions: tuple[str, ...], listed: tuple[str, ...], audited: bool
-) -> tuple[str, str]:
-    """Return the element of a rule up to its places, and from its partitions on."""
-    audit = ' modifier="AUDIT"' if audited else ""
-    partitions = "".join([f"<partition>{_text(each)}</partition>" for each in listed])
-    partition_list = f"        <partitions>{partitions}</partitions>\n" if partitions else ""
-    permission_list = "".join([f"<{each}/>" for each in permissions])
-    return (
-        f'      <{kind} qualifier="{effect}"{audit} origin="',
-        f"{partition_list}        <permissions>{permission_list}</permissions>\n      </{kind}>\n",
-    )
+@once_of_kind
+def _around_expressions(kind: Kind) -> list[tuple[str, str, str, str]]:
+    """Return of each rule its element up to its places, and from its partitions on; and its line in a digest."""
+    found = []
+    for effect, of, permissions, _, listed, audited in kind:
+        audit = ' modifier="AUDIT"' if audited else ""
+        partitions = "".join([f"<partition>{_text(each)}</partition>" for each in listed])
+        partition_list = f"        <partitions>{partitions}</partitions>\n" if partitions else ""
+        permission_list = "".join([f"<{each}/>" for each in permissions])
+        start = f'      <{of} qualifier="{effect}"{audit} origin="'
+        end = f"{partition_list}        <permissions>{permission_list}</permissions>\n      </{of}>\n"
+        found.append((start, end, *_line(effect, of, permissions, listed, audited=audited)))
+    return found
 
 
 @lru_cache(maxsize=1024)

@@ -22,7 +22,7 @@ from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.values import dataclass
 from keymint.api import Claim, Counterexample, DomainRange, Proof, ValidityTerm
 from keymint.errors import KeymintError
-from keymint.ir import Kind, Rule, SubjectRules
+from keymint.ir import Kind, Rule, SubjectRules, once_of_kind
 from keymint.life import terms
 from keymint.names import name_of
 from keymint.view.stamps import Stamp, State, digest
@@ -359,18 +359,9 @@ def placeless_digest(rules: Iterable[SubjectRules]) -> str:
     return digest(*(part for kind, names in kinds for part in (_kind_digest(kind), *names)))
 
 
-_kinds: dict[int, tuple[Kind, str]] = {}
-"""Kinds with their digests by identity: to hash a kind costs as much as all else."""
-_MOST_KINDS = 1 << 12
-
-
+@once_of_kind
 def _kind_digest(kind: Kind) -> str:
-    known = _kinds.get(id(kind))
-    if known is None:
-        if len(_kinds) >= _MOST_KINDS:
-            _kinds.clear()
-        known = _kinds[id(kind)] = kind, digest(repr(kind))
-    return known[1]
+    return digest(repr(kind))
 
 
 @lru_cache(maxsize=64)

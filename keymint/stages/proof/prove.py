@@ -12,7 +12,6 @@ from dataclasses import replace
 from itertools import chain
 
 from comarmor.errors import Defects, Diagnostic, Severity
-from comarmor.regex import lazy_regex
 from keymint import __version__, api
 from keymint.authority.authority_files import chains_digest, trusted_chains
 from keymint.authority.examine import contradictions_for
@@ -35,7 +34,6 @@ from keymint.workspace.package_build_types import SHARED
 from keymint.workspace.session import Session
 
 STAGE = "prove"
-_PLAIN = lazy_regex(r"[A-Za-z0-9/_.-]+")
 LEAST = 50
 """Enclaves for which a process of its own is worth its start."""
 NO_PROVER = "proof-unsupported"
@@ -177,7 +175,8 @@ class ProofStage(PackageStage):
         session, build_types = self._session, new.package.build_types
         digests = {file: each.digest for file, each in new.files.items()}
         inputs = self._digest(new.inputs, digests, build_types, session.vendors_of)
-        form, own = new.forms.of(STAGE, new.kind), _values(new)
+        form = new.forms.of(STAGE, new.kind)
+        own = distinguished_names.written_name(new.package.identity.subject_name).values
         is_of_policy = new.package.grant.rules.kind == new.rules.kind and new.package.subject == new.rules.subject
         if form and new.form and is_of_policy and _differing(form[1], own) == form[2]:
             first, values, _ = form
@@ -362,12 +361,6 @@ class ProofStage(PackageStage):
         """Return the policy's rules for a subject; none for infrastructure, even if a profile is for every subject."""
         of_subject = self._session.role(name_of(subject)) is api.Role.SUBJECT
         return (self._policy.rules(subject) if of_subject else None) or SubjectRules(subject, ())
-
-
-def _values(new: NewPackage) -> tuple[str, ...]:
-    """Return the values in the subject name of a package that texts have as they are, in their order."""
-    name = distinguished_names.parse(new.package.identity.subject_name)
-    return tuple(value for _, value in distinguished_names.attributes(name) if _PLAIN.fullmatch(value))
 
 
 def _differing(values: Sequence[str], others: Sequence[str]) -> tuple[bool, ...]:

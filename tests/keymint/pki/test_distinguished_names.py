@@ -167,3 +167,29 @@ def test_simple_names_are_shown_as_all_are(pairs: list[tuple[str, str]]) -> None
         attributes = [distinguished_names._attribute(kind, value, "") for kind, value in pairs]
         name = x509.Name(attributes)
         assert distinguished_names.to_text(name) == general(lambda: distinguished_names.to_text(name))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "CN=/robot/arm",
+        f"OU={'f' * 32},CN=/robot/arm",
+        f"CN={'x' * 64},CN=/a,OU=b.c-d_e",
+        f"OU={'x' * 65},CN=/a",
+        "cn=/a",
+        "CN=/a/CN=b",
+        "/CN=/a",
+        "CN=/a, OU=b",
+        "C=DE,O=Acme\\, Inc,CN=ä b",
+    ],
+)
+def test_a_name_is_written_as_the_library_writes_it(text: str) -> None:
+    try:
+        name = distinguished_names.parse(text)
+    except KeymintError:
+        with pytest.raises(KeymintError):
+            distinguished_names.written_name(text)
+    else:
+        values = [value for _, value in distinguished_names.attributes(name) if re.fullmatch("[A-Za-z0-9/_.-]+", value)]
+        expected = name.public_bytes(), distinguished_names.to_text(name), tuple(values)
+        assert distinguished_names.written_name(text) == expected
