@@ -16,7 +16,7 @@ from comarmor.patterns.decision_lists import Block, DecisionList, Equal, SearchB
 from comarmor.patterns.evaluate import permits
 from comarmor.patterns.glob import Glob, left_quotient, parse, right_quotient
 from comarmor.patterns.proofs import difference, escapes
-from comarmor.patterns.tokens import charset
+from comarmor.patterns.tokens import SPECIAL, charset
 from comarmor.rules import PARTS
 from keymint.api import BuildOptions
 from keymint.errors import KeymintError
@@ -64,6 +64,17 @@ _ROS = Universe(charset((ord(char), ord(char)) for char in f"{string.ascii_lette
 _NAMES: DecisionList = (Block(True, (parse("/?*"),)),)
 _BUDGET = SearchBudget(states=2_000)
 """What a question may cost; one that costs more gets no note."""
+_SERVICES = (_TYPES, *(name for part in ("ros_read", "ros_write") for _, _, name in PARTS["ros_parameter", part]))
+_ASKED = (
+    *(topic.removeprefix("rt/") for _, _, topic in _ALWAYS),
+    *(service + suffix for service in _SERVICES for suffix in ("", "Request", "Reply")),
+)
+"""How each name ends that a question is about."""
+_Asked = tuple[str, tuple[tuple[str | tuple[str, ...], ...], ...]]
+_quiet: set[_Asked] = set()
+"""What decided that subjects have no notes: that of most in a fleet is the same."""
+MOST = 1_000
+"""Number of these that are remembered."""
 _Lists = Mapping[str, DecisionList]
 """The DDS topics that a subject may use, by action."""
 
@@ -73,6 +84,9 @@ def check_node(rules: SubjectRules, distro: str) -> Iterator[Diagnostic]:
     known = [*DISTROS]  # the oldest first
     if known.index(distro) < known.index("foxy"):
         return  # not measured
+    asked = _asked(rules, distro)
+    if asked in _quiet:
+        return
     try:
         lowered = lower(rules, distro)
     except KeymintError:  # whoever compiles the rules reports it
@@ -86,7 +100,10 @@ def check_node(rules: SubjectRules, distro: str) -> Iterator[Diagnostic]:
         message = f"a node of this subject cannot start on {release} with its default options: it may not "
         help_ = "include common/node.xml, unless it has no node, or one whose options switch these off"
         yield Diagnostic.note("node-cannot-start", message + ", ".join(missing), None, help_, rules.subject)
-    if (server := _read_only(lists)) is not None:
+    server = _read_only(lists)
+    if not missing and server is None and asked is not None and len(_quiet) < MOST:
+        _quiet.add(asked)
+    if server is not None:
         message = (
             f"a client of parameters (rclpy, rclcpp, 'ros2 param') cannot start on {release}: it makes clients of all "
             f"six services, and this subject may read parameters, but not set them, e.g. those of {server}"
@@ -95,6 +112,26 @@ def check_node(rules: SubjectRules, distro: str) -> Iterator[Diagnostic]:
         help_ = "add ros_write; or read with a plain client of the service get_parameters"
         where = allowing.origin if allowing else None
         yield Diagnostic.note("parameter-client-cannot-start", message, where, help_, rules.subject)
+
+
+def _asked(rules: SubjectRules, distro: str) -> _Asked | None:
+    """Return what of the rules decides whether there are notes; None if they have wildcards.
+
+    No question is about other names. The subject's own name is replaced, since no answer depends on it.
+    """
+    subject, found = rules.subject, []
+    for rule in rules.rules:
+        if any(map(SPECIAL.search, rule.expressions)):
+            return None
+        names = []
+        for text in rule.expressions:
+            is_node = rule.kind == "ros_parameter"
+            if is_node or text.endswith(_ASKED):
+                is_own = text.startswith(f"{subject}/") or (is_node and text == subject)
+                names.append(f"\0{text[len(subject) :]}" if is_own else text)
+        if names:
+            found.append((rule.effect, rule.kind, rule.permissions, tuple(names), rule.partitions))
+    return distro, tuple(found)
 
 
 def _may_serve(lists: _Lists, service: str, subject: str) -> bool:
