@@ -77,16 +77,16 @@ REAL_TRANSPORTS = list(map(param, TRANSPORTS))
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Deselect cases of newer versions beyond a sample."""
-    seen, left_out = Counter[tuple[object, ...]](), []
+    seen, left_out = Counter[tuple[object, ...]](), set[pytest.Item]()
     for item in items:
         if (mark := item.get_closest_marker("newer_vendor")) and not FULL:
             case = (item.path, item.function, *mark.args)  # type: ignore[attr-defined]
             seen[case] += 1
             if seen[case] > CASES or mark.args[0] not in SAMPLED:
-                left_out.append(item)
+                left_out.add(item)
     if left_out:
-        config.hook.pytest_deselected(items=left_out)
-        items[:] = [item for item in items if item not in set(left_out)]
+        config.hook.pytest_deselected(items=[*left_out])
+        items[:] = [item for item in items if item not in left_out]
 
 
 def missing(error: MissingVendorError, required: str = "KEYMINT_REQUIRE_VENDORS") -> NoReturn:
