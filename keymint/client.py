@@ -22,13 +22,12 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from comarmor.errors import Diagnostic, Severity
 from comarmor.values import dataclass
 from keymint import cli
 from keymint.api import LoadedPolicy
 from keymint.command_line.agreement import another_policy, confirmed_plan
 from keymint.command_line.options import Names
-from keymint.errors import KeymintError, UnconfirmedError
+from keymint.errors import Diagnostic, KeymintError, Severity, UnconfirmedError
 from keymint.life.terms import DEFAULT, Threshold
 from keymint.names import package_name, subject_of
 from keymint.output.console import Streams

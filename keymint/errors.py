@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The error type and the exit codes, under the names that Keymint and its plugins use; errors of several modules."""
+"""The one door to errors, diagnostics and exit codes for Keymint and its plugins; errors of several modules."""
 
 from __future__ import annotations
 
 from collections.abc import Collection
 
 from comarmor.errors import ComArmorError as KeymintError
-from comarmor.errors import ExitCode, Origin
+from comarmor.errors import Defects, Diagnostic, ExitCode, Origin, Reason, Severity, Spot, citation, library_name
 from comarmor.text import did_you_mean
 
 __all__ = [
-    "ExitCode", "KeymintError", "UnconfirmedError", "UnsayableError", "known_authority", "process_ended", "usage_error",
+    "Defects", "Diagnostic", "ExitCode", "KeymintError", "Origin", "Reason", "Severity", "Spot", "UnconfirmedError",
+    "UnsayableError", "citation", "known_authority", "library_name", "process_ended", "usage_error",
 ]  # fmt: skip
 
 

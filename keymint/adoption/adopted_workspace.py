@@ -14,7 +14,6 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
 from keymint.adoption.keystore_policy import AdoptedPolicy
 from keymint.api import (
@@ -29,7 +28,7 @@ from keymint.api import (
     KeystoreReader,
 )
 from keymint.authority.authority_changes import GivenAuthority, plan_import
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.ir import SubjectRules
 from keymint.life.workspace_register import complete_register, register_change
 from keymint.names import package_name

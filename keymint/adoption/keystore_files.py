@@ -13,11 +13,10 @@ from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
-from comarmor.errors import Diagnostic, Origin
 from comarmor.xml.sandboxed_paths import read_bounded
 from keymint.api import FoundKeystore, KeystoreFile, KeystoreFiles, KeystoreReader
 from keymint.api.plugin_loader import Plugins
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.view.tree import MAX_FILE, read_error
 
 _ENCLAVES = "enclaves"

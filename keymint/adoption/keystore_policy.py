@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.values import dataclass
 from keymint.api import (
     ComparisonTask,
@@ -19,7 +18,7 @@ from keymint.api import (
     Relation,
 )
 from keymint.api.plugin_loader import Plugins
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.ir import SubjectRules
 from keymint.names import package_name
 from keymint.stages.proof.proof_results import ProofEffort, costliest, in_words

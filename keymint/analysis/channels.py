@@ -14,7 +14,6 @@ from contextlib import suppress
 from functools import cache
 from itertools import product
 
-from comarmor.errors import Origin
 from comarmor.patterns.decision_lists import DecisionList, Equal, Witness
 from comarmor.patterns.glob import EVERYTHING, Glob, literal, parse
 from comarmor.patterns.relations import TooComplexError, covers, intersection
@@ -45,6 +44,7 @@ from keymint.analysis.subject_patterns import (
     rules_of,
 )
 from keymint.api import LoadedPolicy, PolicyStructure, WrittenRule
+from keymint.errors import Origin
 
 FLOWS: tuple[tuple[PermissionKey, PermissionKey], ...] = (
     ((RAW, "publish"), (RAW, "subscribe")),

@@ -14,7 +14,6 @@ from collections.abc import Collection, Iterator, Sequence
 from functools import cache, partial
 from itertools import product
 
-from comarmor.errors import Origin
 from comarmor.patterns.decision_lists import DecisionList, Equal, ProofResult, Unknown, Witness, negate
 from comarmor.patterns.glob import Glob, matches, parse, surround
 from comarmor.patterns.relations import covers, disjoint
@@ -50,6 +49,7 @@ from keymint.analysis.symbolic_rules import (
 )
 from keymint.analysis.symbolic_search import QueryBudget, find_subject
 from keymint.api import LoadedPolicy
+from keymint.errors import Origin
 from keymint.ir import Rule
 
 

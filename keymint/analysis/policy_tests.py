@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from comarmor.errors import Diagnostic, Origin, Spot
 from comarmor.patterns.decision_lists import Equal, Witness, negate
 from comarmor.patterns.glob import Glob, matches, parse
 from comarmor.patterns.relations import disjoint
@@ -25,7 +24,7 @@ from keymint.analysis.rule_lists import (
 )
 from keymint.analysis.subject_patterns import can_exist, named_subjects, pattern_examples, rules_of, unknown_subject
 from keymint.api import Expectation, LoadedPolicy
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin, Spot
 from keymint.ir import Rule
 from keymint.names import typed_permission, typed_subject
 

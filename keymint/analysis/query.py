@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import field
 
-from comarmor.errors import Origin
 from comarmor.patterns.decision_lists import Equal, ProofResult, Unknown, Witness
 from comarmor.patterns.glob import Glob, literal, matches, right_quotient
 from comarmor.patterns.relations import disjoint
@@ -29,6 +28,7 @@ from keymint.analysis.subject_patterns import can_exist, named_subjects, rules_o
 from keymint.analysis.symbolic_rules import EVERYBODY, Entries, SymbolicEntry, SymbolicRules
 from keymint.analysis.symbolic_search import QueryBudget, find_subject
 from keymint.api import LoadedPolicy
+from keymint.errors import Origin
 from keymint.ir import Rule
 
 FORMS = (

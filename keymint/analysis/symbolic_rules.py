@@ -15,7 +15,6 @@ from collections.abc import Iterator
 from functools import cache, lru_cache
 from itertools import cycle, takewhile
 
-from comarmor.errors import Origin
 from comarmor.patterns.glob import Glob, left_quotient, literal, normalise, parse, units
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.relations import TooComplexError, disjoint
@@ -31,6 +30,7 @@ from keymint.analysis.subject_patterns import (
     profile_subjects,
 )
 from keymint.api import PolicyStructure, WrittenRule
+from keymint.errors import Origin
 
 NAMESPACE = "\x01"
 """Placeholder of the subject's namespace without its leading ``/``. XML cannot contain this character."""

@@ -7,7 +7,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
-from comarmor.errors import Diagnostic
 from keymint.api.building import (
     Artifact,
     AuthorityRole,
@@ -26,6 +25,7 @@ from keymint.api.profiles import WorkspaceProfile
 from keymint.api.proving import Claim, Prover, SharedProofTask
 from keymint.api.rights import Presentation
 from keymint.api.transports import Endpoint, InstalledEnclave
+from keymint.errors import Diagnostic
 from keymint.ir import SubjectRules
 
 

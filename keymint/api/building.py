@@ -8,10 +8,10 @@ from dataclasses import field
 from datetime import datetime
 from typing import TYPE_CHECKING
 
-from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
 from keymint.api.graph import Edge
 from keymint.api.packages import Package
+from keymint.errors import Diagnostic, Origin
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey

@@ -9,11 +9,11 @@ from dataclasses import field
 from datetime import datetime
 from typing import Any
 
-from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
 from keymint.api.packages import DomainRange, KeySpec, Package, Validity
 from keymint.api.policies import ImportedSubject
 from keymint.api.rights import Comparison, ComparisonTask, DocumentComparison
+from keymint.errors import Diagnostic
 from keymint.ir import SubjectRules
 
 

@@ -12,10 +12,10 @@ import re
 from collections.abc import Iterable, Iterator
 from enum import StrEnum
 
-from comarmor.errors import Diagnostic
 from comarmor.regex import lazy_regex
 from comarmor.rules import PERMISSIONS
 from comarmor.values import dataclass
+from keymint.errors import Diagnostic
 
 
 @dataclass(frozen=True, slots=True, order=True)

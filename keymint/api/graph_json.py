@@ -7,12 +7,11 @@ import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, NoReturn
 
-from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
 from comarmor.rules import KIND_OF, PERMISSIONS, is_fully_qualified, is_subject
 from comarmor.text import did_you_mean
 from keymint.api.graph import Edge, Graph, Object
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 
 FORMAT = "keymint-graph"
 VERSION = 1

@@ -8,11 +8,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 
-from comarmor.errors import Diagnostic, Origin
 from keymint.api.build_types import BuildType
 from keymint.api.foreign_keystores import AdoptedSources
 from keymint.api.packages import Issuance, Package, Role
 from keymint.api.profiles import WorkspaceProfile
+from keymint.errors import Diagnostic, Origin
 from keymint.ir import SubjectRules
 
 

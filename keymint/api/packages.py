@@ -8,8 +8,8 @@ from dataclasses import field
 from datetime import datetime
 from enum import StrEnum
 
-from comarmor.errors import Origin
 from comarmor.values import dataclass
+from keymint.errors import Origin
 from keymint.ir import SubjectRules
 
 

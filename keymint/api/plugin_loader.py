@@ -16,7 +16,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, cast
 
-from comarmor.errors import Origin
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint.api import (
@@ -31,7 +30,7 @@ from keymint.api import (
     Transport,
     TransportType,
 )
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import ExitCode, KeymintError, Origin
 
 _OURS = "keymint-tools"
 GROUPS: Mapping[str, type] = {

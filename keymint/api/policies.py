@@ -10,10 +10,10 @@ from dataclasses import field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from comarmor.errors import Diagnostic, Origin, Reason
 from comarmor.rules import Expectation
 from comarmor.values import dataclass
 from keymint.api.graph import Edge, Graph, Object
+from keymint.errors import Diagnostic, Origin, Reason
 from keymint.ir import Rule, SubjectRules
 
 if TYPE_CHECKING:

@@ -10,12 +10,12 @@ from dataclasses import field
 from datetime import datetime
 from enum import StrEnum
 
-from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
 from keymint.api.graph import Edge
 from keymint.api.packages import DomainRange, Package
 from keymint.api.policies import PolicyDecision
 from keymint.api.transports import Endpoint, Verdict
+from keymint.errors import Diagnostic, Origin
 from keymint.ir import Rule, SubjectRules
 
 

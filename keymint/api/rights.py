@@ -9,10 +9,10 @@ from dataclasses import field
 from datetime import datetime
 from enum import StrEnum
 
-from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
 from keymint.api.packages import DomainRange, Package
 from keymint.api.proving import Claim, Counterexample
+from keymint.errors import Diagnostic, Origin
 from keymint.ir import SubjectRules
 
 

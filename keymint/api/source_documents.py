@@ -17,13 +17,12 @@ from typing import Generic, TypeVar
 
 from lxml import etree
 
-from comarmor.errors import Diagnostic, Origin
 from comarmor.regex import lazy_regex
 from comarmor.text import did_you_mean, quote
 from comarmor.xml import reader, schema
 from comarmor.xml.reader import line
 from keymint.api import DomainRange
-from keymint.errors import KeymintError, known_authority
+from keymint.errors import Diagnostic, KeymintError, Origin, known_authority
 
 _T = TypeVar("_T")
 

@@ -11,10 +11,9 @@ from enum import StrEnum
 from pathlib import Path
 from typing import NoReturn
 
-from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
 from keymint.api.graph import Column, Edge, Graph
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin
 
 
 class Tier(StrEnum):

@@ -11,12 +11,11 @@ from dataclasses import field, replace
 
 from cryptography import x509
 
-from comarmor.errors import Defects, Diagnostic
 from comarmor.values import dataclass
 from keymint.api import Authority, AuthorityIssuance, SigningAuthority
 from keymint.authority import authority_files, examine
 from keymint.authority.authority_files import AuthorityFiles
-from keymint.errors import KeymintError, known_authority
+from keymint.errors import Defects, Diagnostic, KeymintError, known_authority
 from keymint.pki import certificates, keys
 from keymint.store.changes import Action, FolderChange, Plan, Step, folder_changes, secret_file
 from keymint.workspace.session import Inputs, Session

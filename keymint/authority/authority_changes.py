@@ -13,14 +13,13 @@ from datetime import datetime
 
 from cryptography import x509
 
-from comarmor.errors import Diagnostic, Origin
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint.api import Authority, AuthorityIssuance, Implementation, Validity
 from keymint.authority import authorities, authority_files, examine
 from keymint.authority.authorities import STAGE, authority_named, plan_authorities, plan_authority_issuance
 from keymint.authority.authority_files import with_issuers
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin
 from keymint.pki import certificates, distinguished_names, foreign_authorities, keys, periods
 from keymint.store.changes import Action, FolderChange, Plan, Step, folder_changes, secret_file
 from keymint.workspace.package_build_types import build_types_of, is_build_current

@@ -12,10 +12,9 @@ from dataclasses import field
 
 from cryptography import x509
 
-from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
 from keymint.api import Authority, CertificateSpec, Phase, Rollover
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.pki import certificates, distinguished_names, keys
 from keymint.view.stamps import digest_files
 from keymint.workspace.installed_enclaves import INSTALLED, deployed_authorities

@@ -15,9 +15,8 @@ from contextlib import suppress
 
 from cryptography import x509
 
-from comarmor.errors import Defects, Diagnostic, Origin
 from keymint.authority.authority_files import AuthorityFiles, in_order, new_authority_help, read_files, stored_key
-from keymint.errors import KeymintError
+from keymint.errors import Defects, Diagnostic, KeymintError, Origin
 from keymint.pki import certificates, distinguished_names, keys
 from keymint.workspace.package_build_types import is_build_current, issuers_of
 from keymint.workspace.session import Session, once

@@ -7,12 +7,12 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from comarmor.errors import Diagnostic, Origin
 from comarmor.text import first_few, quantity
 from keymint.analysis.permission_changes import PermissionChange, rule_changes
 from keymint.analysis.policy_diff import SubjectChanges
 from keymint.analysis.symbolic_search import QueryBudget
 from keymint.api import LoadedPolicy
+from keymint.errors import Diagnostic, Origin
 from keymint.names import subject_list, subject_of
 from keymint.output.differences import as_text, differences_json, summary
 from keymint.run.run import Run

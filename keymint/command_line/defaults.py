@@ -16,9 +16,8 @@ from typing import Any, NamedTuple
 import click
 from click.core import ParameterSource
 
-from comarmor.errors import Diagnostic, Origin
 from comarmor.text import did_you_mean, quote
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin
 from keymint.view.file_reading import read_file
 
 MAX_BYTES = 1 << 16

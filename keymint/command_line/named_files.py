@@ -12,10 +12,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from comarmor.errors import Origin
 from keymint import SPACES, __version__
 from keymint.api import LoadedPolicy
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import ExitCode, KeymintError, Origin
 from keymint.output.report import Report
 from keymint.run.run import Run
 from keymint.store.changes import File

@@ -9,12 +9,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import NoReturn
 
-from comarmor.errors import Diagnostic, Origin
 from comarmor.patterns.glob import matches, parse
 from comarmor.patterns.tokens import SPECIAL
 from comarmor.text import did_you_mean, quantity, quote
 from comarmor.values import dataclass
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.life.terms import DEFAULT, Threshold
 from keymint.names import package_name, subject_of, typed_subject
 from keymint.run.run import Run

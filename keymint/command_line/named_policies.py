@@ -7,11 +7,10 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 
-from comarmor.errors import Origin, library_name
 from comarmor.xml.package_folders import InstalledPackages
 from keymint.api import LoadedPolicy, PolicySource
 from keymint.command_line.options import DEFAULT_DISTRO, PolicyOptions
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin, library_name
 from keymint.run.run import Run
 from keymint.workspace.policy_loading import accepted_policy, foreign_policy, load_policy
 from keymint.workspace.session import Session

@@ -32,7 +32,6 @@ from typing import Any
 
 import click
 
-from comarmor.errors import Diagnostic
 from comarmor.regex import lazy_regex
 from comarmor.rules import PERMISSIONS, RAW_PREFIXES
 from comarmor.values import dataclass
@@ -40,7 +39,7 @@ from keymint.api import GraphSource
 from keymint.api.plugin_loader import Plugins
 from keymint.command_line import named_packages
 from keymint.command_line.verb import FILE, argument, flag, option, option_group, option_texts, path_option, plugin
-from keymint.errors import usage_error
+from keymint.errors import Diagnostic, usage_error
 from keymint.life.terms import Threshold
 from keymint.names import RAW
 from keymint.stages.work import InstallRequest

@@ -15,12 +15,11 @@ import csv
 from collections import Counter
 from collections.abc import Sequence
 
-from comarmor.errors import Defects, Origin
 from comarmor.rules import KIND_OF
 from comarmor.text import did_you_mean, quantity
 from keymint.api import Hint, graph_json
 from keymint.api.graph import Edge, Object
-from keymint.errors import KeymintError
+from keymint.errors import Defects, KeymintError, Origin
 
 COLUMNS = ("subject", "permission", "object", "count")
 OPTIONAL = ("partition",)

@@ -23,13 +23,12 @@ import click
 from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 
-from comarmor.errors import Diagnostic
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint import SPACES
 from keymint.api.plugin_loader import Plugins
 from keymint.command_line.verb_group import VerbCommand, help_all
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError
 from keymint.output.console import COLOURS
 from keymint.output.report import Report, findings_exit, findings_if
 from keymint.run.run import Run, Setting

@@ -16,7 +16,6 @@ from typing import Any
 
 from markupsafe import Markup
 
-from comarmor.errors import citation
 from comarmor.text import encodable_value, one_line
 from keymint.api.graph import DomainObject, EdgeOutcome
 from keymint.drawing.appearance import DARK, KIND_NAMES, KINDS, LIGHT, OUTCOMES, Theme, object_name
@@ -25,6 +24,7 @@ from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph
 from keymint.drawing.layout import NodeKey
 from keymint.drawing.simplify import EXPLICIT, DrawingOptions, priority, simplify
 from keymint.drawing.svg import draw, from_template, style_sheet
+from keymint.errors import citation
 
 MOST_ROWS = 10_000
 """Maximum number of edges in a report; false labels and explicit denials are listed beyond it. Next are allowed edges.

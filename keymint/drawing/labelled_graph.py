@@ -14,14 +14,13 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import field, replace
 from typing import NoReturn
 
-from comarmor.errors import Origin
 from comarmor.patterns import glob
 from comarmor.rules import PERMISSIONS
 from comarmor.text import did_you_mean, first_few
 from comarmor.values import dataclass
 from keymint.api import LoadedPolicy, PolicyDecision
 from keymint.api.graph import LABELLED, ConfusionMatrix, Edge, EdgeOutcome, Graph, Object, complete
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import ExitCode, KeymintError, Origin
 from keymint.names import no_subject, typed_subject
 
 

@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from comarmor.errors import Diagnostic, Origin
 from keymint.adoption.keystore_policy import Compared, differences
 from keymint.api import FoundKeystore, Relation
+from keymint.errors import Diagnostic, Origin
 
 
 def policy_finding(compared: Compared) -> Diagnostic | None:

@@ -19,12 +19,11 @@ from pathlib import Path
 
 from cryptography import x509
 
-from comarmor.errors import Defects, Diagnostic, Origin
 from keymint.api import ValidityTerm
 from keymint.authority import authority_files, examine
 from keymint.authority.authorities import key_copies
 from keymint.authority.authority_files import AuthorityFiles, authority_keys, other
-from keymint.errors import KeymintError
+from keymint.errors import Defects, Diagnostic, KeymintError, Origin
 from keymint.host.git import GIT_MISSING, run_git
 from keymint.life import terms
 from keymint.life.package_issuance import place_of

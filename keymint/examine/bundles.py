@@ -11,9 +11,8 @@ from collections.abc import Mapping
 from dataclasses import field
 from datetime import datetime
 
-from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.pki import certificates, examine, keys
 from keymint.pki import revocation_lists as crl
 from keymint.robots.bundle import CERTIFICATE, KEY, Bundle, Manifest, load, number_of, revocation_lists

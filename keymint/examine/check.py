@@ -15,13 +15,12 @@ from functools import partial
 from itertools import chain
 from typing import Any
 
-from comarmor.errors import Diagnostic, Severity
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint.api import BuildOptions, BuildType, Inspection, Package
 from keymint.authority.authority_files import elsewhere, trusted_chains
 from keymint.authority.examine import DECIDED_BY_A_PERSON
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Severity
 from keymint.examine.authorities import authorities, encryption, exposed_keys, git_exposure
 from keymint.examine.files import enclave_files_on_disk, file_status, outside_enclaves, unexpected_file
 from keymint.examine.keystore import UNFINISHED, deciding_findings, staged_keystore_session

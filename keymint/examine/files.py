@@ -17,9 +17,8 @@ from datetime import timedelta
 from functools import lru_cache
 from pathlib import Path
 
-from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Artifact, BuildOptions, Inspection, Package
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.life.workspace_register import withdrawn
 from keymint.names import ROOT
 from keymint.pki import keys

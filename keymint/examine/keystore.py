@@ -13,12 +13,11 @@ from dataclasses import replace
 
 from cryptography import x509
 
-from comarmor.errors import Diagnostic, Origin
 from comarmor.text import first_few, hexadecimal, quantity
 from keymint.api import LoadedPolicy, Phase
 from keymint.authority.authority_files import issuers
 from keymint.authority.rollover import staged_session
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.examine.rights import presented_rights
 from keymint.host.pool import Pool
 from keymint.life.examine import RIGHTS_OUTLIVE

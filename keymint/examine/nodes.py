@@ -7,11 +7,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
-from comarmor.errors import Diagnostic, Origin
 from comarmor.text import first_few
 from keymint.api import FoundEnclave, KeystoreFiles, KeystoreReader, LoadedPolicy
 from keymint.api.plugin_loader import Plugins
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.ir import SubjectRules
 from keymint.names import subject_of
 from keymint.stages.proof.prove import STAGE, policy_digest

@@ -16,11 +16,10 @@ from functools import partial
 
 from cryptography import x509
 
-from comarmor.errors import Diagnostic, Origin
 from keymint import __version__, api
 from keymint.authority import authority_files
 from keymint.authority.authority_files import chains_digest
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.examine.weaknesses import signing_issuers
 from keymint.ir import DeferredRules, Rule, SubjectRules
 from keymint.life.examine import excess_of, outliving_rights

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
 from keymint.authority.authority_changes import uses
 from keymint.authority.authority_files import read_files
+from keymint.errors import Diagnostic
 from keymint.pki import foreign_authorities
 from keymint.pki.distinguished_names import parse, unique_suffix
 from keymint.workspace.session import Session

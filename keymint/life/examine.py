@@ -14,10 +14,9 @@ from dataclasses import replace
 from datetime import datetime
 from itertools import chain
 
-from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import BuildType, Counterexample, DocumentComparison, Package
 from keymint.authority.authority_files import authority_keys
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.life.package_issuance import place_of
 from keymint.life.terms import iso_time
 from keymint.life.workspace_register import register_of

@@ -9,11 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from comarmor.errors import Diagnostic, Origin
 from comarmor.text import did_you_mean, quantity
 from comarmor.values import dataclass
 from keymint.api import Issuance
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.life.register import SUPERSEDED, IssuedCertificate, Register
 from keymint.life.workspace_register import complete_register, register_change
 from keymint.names import subject_of

@@ -6,9 +6,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 
-from comarmor.errors import Diagnostic, Origin
 from keymint.api import LoadedPolicy, Role
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.life.package_issuance import Revoking, plan_revocation
 from keymint.life.workspace_register import complete_register, register_of
 from keymint.names import subject_of

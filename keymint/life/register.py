@@ -15,9 +15,8 @@ from dataclasses import Field, field, fields, replace
 from datetime import UTC, datetime
 from typing import Any
 
-from comarmor.errors import Origin
 from comarmor.values import dataclass
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 
 SUPERSEDED = "superseded"
 """The reason of a revocation after which the same key may be certified again."""

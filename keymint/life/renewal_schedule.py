@@ -13,10 +13,10 @@ from datetime import datetime
 
 from cryptography import x509
 
-from comarmor.errors import Defects
 from comarmor.values import dataclass
 from keymint.api import Issuance, Validity
 from keymint.authority.authority_files import in_order, with_issuers
+from keymint.errors import Defects
 from keymint.life.revocation_lists_in_force import list_of
 from keymint.life.terms import DEFAULT, Term, Threshold, recorded_terms
 from keymint.pki import certificate_forms, certificates, periods

@@ -9,13 +9,12 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping
 from datetime import datetime
 
-from comarmor.errors import Origin
 from comarmor.text import hexadecimal
 from keymint.api import Authority, SigningAuthority
 from keymint.authority import authority_files
 from keymint.authority.authorities import MintedAuthority
 from keymint.authority.authority_files import FORMER, NEXT
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 from keymint.life.register import Register
 from keymint.life.workspace_register import installed_lists, issuer_of, outdated_register, register_change, register_of
 from keymint.pki import certificates, keys, revocation_lists

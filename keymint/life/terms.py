@@ -14,10 +14,10 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from functools import lru_cache
 
-from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.values import dataclass
 from keymint.api import Package, Validity, ValidityTerm
 from keymint.authority.authority_files import with_issuers
+from keymint.errors import Diagnostic, Origin, Severity
 from keymint.names import subject_of
 from keymint.view.stamps import Stamp
 from keymint.workspace.session import Session

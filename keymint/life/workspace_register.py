@@ -11,11 +11,10 @@ from itertools import chain
 
 from cryptography import x509
 
-from comarmor.errors import Origin
 from comarmor.text import quantity
 from keymint.api import BuildType, Package
 from keymint.authority import authority_files
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 from keymint.life.register import UNKNOWN, IssuedCertificate, Register, SignedRights, loaded_register, register_file
 from keymint.names import subject_of
 from keymint.pki import certificates, keys, revocation_lists, smime

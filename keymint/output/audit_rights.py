@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
-from comarmor.errors import Origin
 from comarmor.patterns.glob import Glob, literal, parse
 from comarmor.patterns.relations import disjoint
 from comarmor.rules import of_raw_topic
@@ -15,6 +14,7 @@ from keymint.analysis.query import PermissionHolder, effective_permissions, who_
 from keymint.analysis.rule_lists import display_name, query_pattern
 from keymint.analysis.subject_patterns import representatives, rules_of
 from keymint.api import LoadedPolicy
+from keymint.errors import Origin
 from keymint.names import RAW
 from keymint.output.json import Typed, line_json
 from keymint.output.report import members

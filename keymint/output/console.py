@@ -15,10 +15,9 @@ from datetime import datetime
 from operator import attrgetter
 from typing import IO, Any, TypeVar
 
-from comarmor.errors import Diagnostic, Severity
 from comarmor.text import encodable_value, natural_order, one_line, printable_lines, quantity
 from comarmor.values import dataclass
-from keymint.errors import ExitCode
+from keymint.errors import Diagnostic, ExitCode, Severity
 from keymint.host.streams_and_signals import Output
 from keymint.output.report import Report, report_json, rolled_up
 from keymint.store.changes import Action, Step

@@ -7,11 +7,11 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from comarmor.errors import Origin, Spot
 from comarmor.regex import lazy_regex
 from comarmor.text import quantity
 from keymint.analysis.permission_changes import PermissionChange
 from keymint.analysis.policy_diff import SubjectChanges
+from keymint.errors import Origin, Spot
 from keymint.output.json import Typed, line_json
 from keymint.output.report import members
 

@@ -6,9 +6,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from comarmor.errors import Origin
 from keymint.api import PolicyDecision
 from keymint.api.graph import Edge
+from keymint.errors import Origin
 from keymint.verify.mismatch import Mismatch
 
 Typed = Callable[[str], str]

@@ -10,9 +10,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from comarmor.errors import Diagnostic, citation
 from comarmor.text import quantity
 from keymint.api.graph import Edge, EdgeOutcome
+from keymint.errors import Diagnostic, citation
 from keymint.ir import Rule
 from keymint.names import name_of
 from keymint.output.json import Typed, decision_json, edge_json, verdict_json

@@ -9,10 +9,9 @@ from dataclasses import asdict, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from comarmor.errors import Diagnostic, Severity
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
-from keymint.errors import ExitCode
+from keymint.errors import Diagnostic, ExitCode, Severity
 from keymint.store.changes import Step
 from keymint.workspace.workspace import Workspace
 

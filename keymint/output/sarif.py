@@ -10,9 +10,9 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
-from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.xml.sandboxed_paths import PACKAGE
 from keymint import __version__
+from keymint.errors import Diagnostic, Origin, Severity
 from keymint.output.explanations import explanations
 
 _SCHEMA = "https://docs.oasis-open.org/sarif/sarif/v2.1.0/errata01/os/schemas/sarif-schema-2.1.0.json"

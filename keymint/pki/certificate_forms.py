@@ -13,11 +13,10 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes
 from cryptography.x509.oid import ExtendedKeyUsageOID, ExtensionOID
 
-from comarmor.errors import Diagnostic, Origin
 from comarmor.text import quote
 from comarmor.values import dataclass
 from keymint.api import CertificateSpec, Validity
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.pki import der, distinguished_names, extensions, keys
 from keymint.pki.distinguished_names import to_text
 

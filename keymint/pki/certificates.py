@@ -15,12 +15,11 @@ from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat.primitives import serialization
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
-from comarmor.errors import Diagnostic, Origin
 from comarmor.regex import lazy_regex
 from comarmor.text import quote
 from comarmor.values import dataclass
 from keymint.api import CertificateSpec
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.pki import certificate_forms, der, distinguished_names, extensions, keys
 from keymint.pki.distinguished_names import to_text
 

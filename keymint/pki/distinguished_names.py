@@ -17,10 +17,9 @@ from typing import NamedTuple
 from cryptography import x509
 from cryptography.x509.oid import NameOID
 
-from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
 from comarmor.text import did_you_mean, quote
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 from keymint.pki import der
 
 MAX_COMMON_NAME = 64

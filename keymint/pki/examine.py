@@ -15,9 +15,8 @@ from functools import cached_property, lru_cache
 
 from cryptography import x509
 
-from comarmor.errors import Defects, Diagnostic, Origin
 from keymint.api import TrustAnchor, TrustAnchors, ValidityTerm
-from keymint.errors import KeymintError
+from keymint.errors import Defects, Diagnostic, KeymintError, Origin
 from keymint.names import name_of
 from keymint.pki import certificates, distinguished_names, extensions, keys, periods
 from keymint.pki.distinguished_names import to_text

@@ -9,9 +9,8 @@ from dataclasses import replace
 from cryptography import x509
 from cryptography.x509.oid import ExtensionOID
 
-from comarmor.errors import Diagnostic, Origin
 from keymint.api import CertificateSpec, Validity
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.pki import certificate_forms, certificates, extensions, keys
 from keymint.pki.certificates import Issuer
 from keymint.pki.distinguished_names import to_text

@@ -15,9 +15,8 @@ from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.serialization import Encoding
 
-from comarmor.errors import Origin
 from comarmor.values import dataclass
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 from keymint.pki import certificates, extensions, periods
 from keymint.pki.certificates import Issuer
 from keymint.pki.distinguished_names import to_text

@@ -49,11 +49,10 @@ from typing import NoReturn
 
 from cryptography import x509
 
-from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint import api
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 from keymint.pki import certificates, cms, der, examine, keys
 
 UNREAD = "smime-form"

@@ -26,10 +26,9 @@ from typing import Any
 
 from cryptography import x509
 
-from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 from keymint.names import name_of, package_name, subject_of
 from keymint.pki import certificates, cms, extensions
 from keymint.pki.revocation_lists import is_by, parse

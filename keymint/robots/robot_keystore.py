@@ -14,9 +14,8 @@ from pathlib import Path
 
 from cryptography import x509
 
-from comarmor.errors import Origin
 from comarmor.values import dataclass
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 from keymint.names import ROOT
 from keymint.pki import certificates
 from keymint.robots import certification_request as requests

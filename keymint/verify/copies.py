@@ -13,10 +13,9 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
 from keymint.api import InstalledEnclave, Transport, Verdict
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError
 from keymint.view.tree import Tree
 
 _KEY = "key.pem"

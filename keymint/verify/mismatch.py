@@ -6,10 +6,10 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 
-from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint.api import PolicyDecision, Tier, Verdict
 from keymint.api.graph import ConfusionMatrix, Edge, EdgeOutcome
+from keymint.errors import Origin
 
 
 @dataclass(frozen=True, slots=True)

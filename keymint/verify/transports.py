@@ -7,12 +7,11 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
-from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint.api import Availability, InstalledEnclave, Tier, Transport, Verdict
 from keymint.api.graph import Edge
 from keymint.api.plugin_loader import Plugins
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import ExitCode, KeymintError, Origin
 from keymint.verify.compare import label_enclave
 from keymint.verify.copies import Copies
 from keymint.verify.endpoint_policy import EndpointPolicy

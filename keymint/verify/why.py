@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache, partial
 
-from comarmor.errors import Origin
 from comarmor.patterns import glob
 from comarmor.patterns.expression import matches, rule_matches, rule_matches_partition
 from comarmor.rules import Effect, parts
@@ -14,7 +13,7 @@ from comarmor.text import nearest_word
 from comarmor.values import dataclass
 from keymint import api
 from keymint.api.graph import Edge, Object
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import ExitCode, KeymintError, Origin
 from keymint.ir import Rule
 from keymint.names import name_of, typed_permission, typed_subject
 from keymint.verify.compare import label_enclave

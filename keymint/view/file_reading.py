@@ -9,8 +9,7 @@ import stat
 from pathlib import Path
 from typing import NamedTuple
 
-from comarmor.errors import Origin
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 
 MAX_FILE = 16 * 1024 * 1024
 """Largest file that is read, in bytes; far more than any document, certificate or key."""

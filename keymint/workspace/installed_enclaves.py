@@ -13,10 +13,9 @@ from pathlib import Path
 
 from cryptography import x509
 
-from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
 from keymint.api import Artifact, BuildType
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.host.shells import MARK
 from keymint.names import ROOT, subject_of
 from keymint.pki import certificates

@@ -10,9 +10,8 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Collection, Iterable, Iterator, Mapping, MutableMapping, Sequence
 
-from comarmor.errors import Defects, Diagnostic
 from keymint.api import Artifact, AuthorityRole, BuildType, Package
-from keymint.errors import KeymintError
+from keymint.errors import Defects, Diagnostic, KeymintError
 from keymint.names import subject_of
 from keymint.view.stamps import digest
 from keymint.workspace.session import Session, once

@@ -8,13 +8,12 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.values import dataclass
 from comarmor.xml.package_folders import CopiedPackages, PackageFolders
 from keymint.api import AppliedProfile, LoadedPolicy, PolicyDecision, PolicyStructure
 from keymint.api.graph import Edge
 from keymint.api.plugin_loader import Plugins
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.ir import SubjectRules
 from keymint.names import package_name
 from keymint.store.changes import Plan

@@ -10,7 +10,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
-from comarmor.errors import Origin
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint import __version__
@@ -26,7 +25,7 @@ from keymint.api import (
     WorkspaceProfile,
 )
 from keymint.api.plugin_loader import Plugins
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 from keymint.names import ROOT
 from keymint.pki.tokens.token_sessions import Tokens
 from keymint.store.changes import Plan

@@ -7,11 +7,10 @@ import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from comarmor.errors import Diagnostic
 from comarmor.text import did_you_mean, first_few, quantity, quote
 from comarmor.xml.package_folders import InstalledPackages, ShippedFile
 from keymint.api import AcceptedPackage, LoadedPolicy
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import Diagnostic, ExitCode, KeymintError
 from keymint.store.changes import Action, FolderChange, Plan, Step, folder_changes
 from keymint.workspace.session import Session
 

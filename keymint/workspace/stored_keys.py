@@ -8,9 +8,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import TypeVar
 
-from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import CertificateSpec
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.pki import certificates, keys
 from keymint.view.stamps import Stamp, State
 from keymint.workspace.installed_enclaves import INSTALLED, installed_certificate

@@ -10,11 +10,10 @@ from functools import lru_cache
 from itertools import accumulate, permutations
 from pathlib import Path
 
-from comarmor.errors import Diagnostic, Origin
 from comarmor.text import quote
 from comarmor.values import dataclass
 from keymint import SPACES
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin
 from keymint.names import RESERVED, package_name
 from keymint.store.changes import File, FolderChange, Plan
 from keymint.view.file_reading import REGISTER, file_error

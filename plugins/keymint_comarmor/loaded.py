@@ -13,13 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import comarmor
-from comarmor.errors import Diagnostic
 from comarmor.language.policy import Ruling
 from comarmor.rules import Effect
 from comarmor.values import dataclass
 from comarmor.xml.package_folders import ShippedFile
 from keymint.api import AppliedProfile, LoadedPolicy, PolicyDecision, PolicyStructure, WrittenProfile, WrittenRule
 from keymint.api.graph import Edge
+from keymint.errors import Diagnostic
 from keymint.ir import SubjectRules
 
 _MOST_KNOWN = 1 << 10

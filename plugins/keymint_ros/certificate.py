@@ -11,14 +11,13 @@ from dataclasses import replace
 
 from lxml import etree
 
-from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from comarmor.xml.reader import line
 from keymint.api import CertificateSpec, DomainRange, Extension, KeySpec, Validity
 from keymint.api.source_documents import domains, incomplete, place, require_new, text
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 from keymint_ros import validity
 
 AUTHORITY_PLACEHOLDERS = ("name",)

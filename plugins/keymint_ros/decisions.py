@@ -17,11 +17,10 @@ from typing import Any
 
 from lxml import etree
 
-from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint.api import AcceptedPackage, AuthorityIssuance, CertificateSpec, Issuance, Phase, Rollover
 from keymint.api.source_documents import Reader, place, require_new, text
-from keymint.errors import KeymintError, known_authority
+from keymint.errors import KeymintError, Origin, known_authority
 from keymint_ros import certificate, validity
 from keymint_ros.bootstrap import filled_file
 from keymint_ros.manifest import ISSUANCE

@@ -7,9 +7,8 @@ from collections.abc import Collection
 from pathlib import Path
 
 from comarmor.data import locate
-from comarmor.errors import Origin
 from comarmor.text import did_you_mean
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import ExitCode, KeymintError, Origin
 
 _FAMILIES = {
     "ardent": ("ardent",),

@@ -7,12 +7,11 @@ from collections.abc import Iterable, Mapping
 
 from lxml import etree
 
-from comarmor.errors import Origin
 from comarmor.values import dataclass
 from comarmor.xml.reader import line
 from keymint.api import Role
 from keymint.api.source_documents import Reader, file_in, normal_path, require_new, text
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 
 MARKER = "keymint_package.xml"
 ISSUANCE = "issuance.xml"

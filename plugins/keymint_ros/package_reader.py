@@ -11,7 +11,6 @@ from typing import TypeVar
 
 from lxml import etree
 
-from comarmor.errors import Defects, Origin
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint.api import (
@@ -28,7 +27,7 @@ from keymint.api import (
     WorkspaceProfile,
 )
 from keymint.api.source_documents import DEFAULT_DOMAINS, Reader, file_in, normal_path, signer
-from keymint.errors import KeymintError, known_authority
+from keymint.errors import Defects, KeymintError, Origin, known_authority
 from keymint.ir import DeferredRules, Rule, SubjectRules
 from keymint.names import subject_of
 from keymint_ros import certificate, decisions, manifest, permissions, validity

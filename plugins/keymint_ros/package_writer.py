@@ -17,7 +17,6 @@ from datetime import datetime
 
 from lxml import etree
 
-from comarmor.errors import Diagnostic, Origin
 from comarmor.regex import lazy_regex
 from comarmor.rules import KIND_OF, Effect
 from comarmor.text import quote
@@ -26,7 +25,7 @@ from comarmor.xml import reader
 from comarmor.xml.reader import line
 from keymint.api import AdoptedSources, Role, Validity, WorkspaceProfile
 from keymint.api.source_documents import Reader
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.ir import SubjectRules
 from keymint.names import name_of
 from keymint_ros import bootstrap, manifest, permissions, validity

@@ -18,7 +18,6 @@ from urllib.parse import quote, unquote
 
 from lxml import etree
 
-from comarmor.errors import Origin
 from comarmor.language.attachments import strip
 from comarmor.patterns.expression import parse as parse_expression
 from comarmor.regex import lazy_regex
@@ -28,7 +27,7 @@ from comarmor.xml import reader
 from comarmor.xml.reader import line
 from comarmor.xml.sandboxed_paths import PACKAGE
 from keymint.api.source_documents import Reader, place
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 from keymint.ir import DeferredRules, Kind, Rule, SubjectRules, once_of_kind
 from keymint.names import name_of
 from keymint_ros import certificate

@@ -12,11 +12,10 @@ from pathlib import Path
 
 from lxml import etree
 
-from comarmor.errors import Origin
 from comarmor.xml.reader import line
 from keymint.api import Authority, PolicySource, WorkspaceProfile
 from keymint.api.source_documents import Reader, domains, file_in, place, require_new, text
-from keymint.errors import KeymintError, known_authority
+from keymint.errors import KeymintError, Origin, known_authority
 from keymint_ros import bootstrap, certificate, decisions, distros, manifest, validity
 from keymint_ros.certificate import IssuedElement
 from keymint_ros.manifest import BUILD_TYPE

@@ -8,11 +8,10 @@ from datetime import UTC, datetime
 
 from lxml import etree
 
-from comarmor.errors import Origin
 from comarmor.text import quote
 from keymint.api import Validity
 from keymint.api.source_documents import place, text
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 from keymint.pki import periods
 
 _YEARS = range(1950, 10000)

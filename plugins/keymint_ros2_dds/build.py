@@ -5,9 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from comarmor.errors import Defects, Diagnostic, Severity
 from keymint.api import BuildOptions, BuildResult, Package
-from keymint.errors import KeymintError
+from keymint.errors import Defects, Diagnostic, KeymintError, Severity
 from keymint.pki import distinguished_names
 from keymint_ros2_dds import governance_warnings, vendor_limits
 from keymint_ros2_dds.documents import governance_document

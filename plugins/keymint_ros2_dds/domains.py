@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 
-from comarmor.errors import Diagnostic, Origin
 from keymint.api import DomainRange
+from keymint.errors import Diagnostic, Origin
 
 MAX_DOMAIN = 230
 """The highest domain id whose ports exist (DDSI-RTPS 2.3, 9.6.1.1); Cyclone DDS refuses documents with higher ones."""

@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-from comarmor.errors import Origin
 from keymint.api import Claim, ComparisonTask, EnclaveFiles, ProofTask, ValidityTerm
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 from keymint.pki import smime
 from keymint.pki.examine import enclave_file
 from keymint_ros2_dds.decision.semantics import OMG, shipped_models

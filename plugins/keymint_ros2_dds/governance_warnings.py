@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.patterns.decision_lists import Block, DecisionList, Equal, SearchBudget
 from comarmor.patterns.glob import EVERYTHING, Glob
 from comarmor.patterns.proofs import escapes
 from comarmor.patterns.relations import union_covers
 from keymint.api import DomainRange, Package
+from keymint.errors import Diagnostic, Origin, Severity
 from keymint_ros2_dds.documents import governance_document
 from keymint_ros2_dds.domains import in_words, uncovered_domains
 from keymint_ros2_dds.lowering.lowered_rules import Lowered, lower

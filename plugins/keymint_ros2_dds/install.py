@@ -7,10 +7,9 @@ from collections.abc import Mapping
 from contextlib import suppress
 from functools import lru_cache
 
-from comarmor.errors import Origin
 from keymint import api
 from keymint.api import Artifact, Credentials, Package
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 from keymint.pki import certificates, smime
 from keymint_ros2_dds import enclave_layout as enclave
 from keymint_ros2_dds.documents import dds_xml

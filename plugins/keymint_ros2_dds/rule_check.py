@@ -11,7 +11,6 @@ from __future__ import annotations
 import string
 from collections.abc import Iterable, Iterator, Mapping
 
-from comarmor.errors import Diagnostic
 from comarmor.patterns.decision_lists import Block, DecisionList, Equal, SearchBudget, Universe, Witness
 from comarmor.patterns.evaluate import permits
 from comarmor.patterns.glob import Glob, left_quotient, parse, right_quotient
@@ -19,7 +18,7 @@ from comarmor.patterns.proofs import difference, escapes
 from comarmor.patterns.tokens import SPECIAL, charset
 from comarmor.rules import PARTS
 from keymint.api import BuildOptions
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError
 from keymint.ir import SubjectRules
 from keymint_ros2_dds.build import build
 from keymint_ros2_dds.lowering.lowered_rules import lower

@@ -12,13 +12,12 @@ from datetime import UTC, datetime
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
-from comarmor.errors import Defects, Origin
 from comarmor.text import quote
 from comarmor.values import dataclass
 from comarmor.xml.reader import line
 from keymint import api
 from keymint.api.source_documents import DEFAULT_DOMAINS, Reader, domains, incomplete, signer, text
-from keymint.errors import KeymintError
+from keymint.errors import Defects, KeymintError, Origin
 from keymint.ir import SubjectRules
 from keymint.names import name_of
 

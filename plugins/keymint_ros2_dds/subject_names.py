@@ -11,10 +11,9 @@ import re
 
 from cryptography import x509
 
-from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
 from keymint.api import Grant
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 from keymint.pki import distinguished_names
 
 MAX_TOKENS = 20

@@ -12,10 +12,9 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 
-from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.rules import Effect
 from keymint.api import KeySpec, Package
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.pki import distinguished_names, keys
 from keymint_ros2_dds.enclave_layout import KEY, KEY_URI, READS_KEY_URI
 from keymint_ros2_dds.lowering.lowered_rules import Lowered

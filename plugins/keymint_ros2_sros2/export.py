@@ -13,7 +13,6 @@ from itertools import product
 from pathlib import Path
 from types import MappingProxyType
 
-from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.patterns import glob
 from comarmor.patterns.expression import exact, matches
 from comarmor.patterns.glob import Glob
@@ -23,7 +22,7 @@ from comarmor.rules import PARTS, Effect, Rule, is_subject
 from comarmor.text import quote
 from keymint.api import ExportedPolicy, ImportedSubject
 from keymint.api.xml_templates import xml_document
-from keymint.errors import KeymintError, UnsayableError
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity, UnsayableError
 from keymint.ir import SubjectRules
 from keymint_ros2_sros2 import syntax
 from keymint_ros2_sros2.deviations import permissions_document, subject_name

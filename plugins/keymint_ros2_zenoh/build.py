@@ -13,8 +13,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
-from comarmor.errors import Defects, Diagnostic, Severity
 from keymint.api import BuildOptions, BuildResult, Package
+from keymint.errors import Defects, Diagnostic, Severity
 from keymint_ros2_zenoh.documents.configuration import (
     ROUTER_SETTINGS,
     SESSION_SETTINGS,

@@ -9,9 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from ipaddress import ip_address
 
-from comarmor.errors import Defects, Diagnostic, Origin
 from keymint.api import CertificateSpec, Extension, Package
-from keymint.errors import KeymintError
+from keymint.errors import Defects, Diagnostic, KeymintError, Origin
 from keymint.pki import distinguished_names
 from keymint_ros2_zenoh.settings import is_address, is_router, settings_of
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from comarmor.errors import Origin
 from keymint.api import Artifact, Credentials, Package
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 from keymint.pki import cms, smime
 from keymint_ros2_zenoh.documents.configuration_reader import read
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY, ROUTER, SESSION, SIGNATURE

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from dataclasses import field
 from ipaddress import ip_address
 
-from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint.api import AuthorityRole, Implementation, Package
+from keymint.errors import Origin
 
 BUILD_TYPE = "keymint_ros2_zenoh"
 """The name by which packages ask for this build type."""

@@ -7,13 +7,12 @@ from collections.abc import Iterator, Mapping
 from ipaddress import ip_address
 from typing import TYPE_CHECKING
 
-from comarmor.errors import Diagnostic, Origin
 from comarmor.regex import lazy_regex
 from comarmor.text import quote
 from comarmor.xml.reader import line
 from keymint.api import Extension, PackageSettings, PackageSources, Role, SourcePart, WorkspaceProfile
 from keymint.api.source_documents import Reader, text
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint_ros2_zenoh.lowering.permissions import check_distro
 from keymint_ros2_zenoh.settings import Router, ZenohSettings, is_address
 

@@ -22,7 +22,6 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from urllib.parse import quote as percent_encoded
 
-from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns.glob import literal, parse
 from comarmor.patterns.tokens import ANY, COMARMOR, MAX_CODE, Charset, Star, Token
 from comarmor.rules import Effect, Rule, parts
@@ -30,7 +29,7 @@ from comarmor.text import one_line, quote
 from comarmor.values import dataclass
 from keymint.api import ExportedPolicy
 from keymint.api.xml_templates import xml_document
-from keymint.errors import KeymintError, UnsayableError
+from keymint.errors import Diagnostic, KeymintError, Severity, UnsayableError
 from keymint.ir import SubjectRules
 
 _XML = Charset(((9, 10), (13, 13), (32, 0xD7FF), (0xE000, 0xFFFD), (0x10000, MAX_CODE)))

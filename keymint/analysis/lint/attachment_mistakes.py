@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-from comarmor.errors import Diagnostic
 from comarmor.patterns.glob import Glob, literal, parse
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.steps import StepLimitError, step_limit
@@ -20,6 +19,7 @@ from comarmor.text import first_few
 from keymint.analysis.lint.findings import undecided_note
 from keymint.analysis.subject_patterns import fixed_expressions, profile_chain
 from keymint.api import PolicyStructure, WrittenProfile, WrittenRule
+from keymint.errors import Diagnostic
 
 STEPS = 2_000_000
 """Maximum steps of the search for subjects that a wildcard matches."""

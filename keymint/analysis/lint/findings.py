@@ -6,11 +6,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 
-from comarmor.errors import Diagnostic, Origin, Spot
 from comarmor.text import first_few
 from comarmor.values import dataclass
 from keymint.analysis.subject_patterns import expressions_for
 from keymint.api import PolicyStructure, WrittenRule
+from keymint.errors import Diagnostic, Origin, Spot
 from keymint.ir import Rule
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
-from comarmor.errors import Diagnostic, Origin, Severity, Spot
 from comarmor.patterns.glob import parse
 from comarmor.patterns.possible_names import advice
 from comarmor.patterns.relations import TooComplexError
@@ -33,6 +32,7 @@ from keymint.analysis.subject_patterns import (
     with_distinct_rules,
 )
 from keymint.api import BuildType, LoadedPolicy, PolicyStructure, WrittenProfile
+from keymint.errors import Diagnostic, Origin, Severity, Spot
 from keymint.ir import Rule, SubjectRules
 
 

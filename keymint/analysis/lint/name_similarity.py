@@ -11,7 +11,6 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 
-from comarmor.errors import Diagnostic, Origin
 from comarmor.patterns.glob import Glob, literal, parse
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.steps import StepLimitError, spend, step_counting_cache, step_limit
@@ -19,6 +18,7 @@ from comarmor.regex import lazy_regex
 from comarmor.rules import KIND_OF, Effect, is_fully_qualified
 from keymint.analysis.lint.findings import ExpressionOrigins, undecided_note
 from keymint.api import PolicyStructure
+from keymint.errors import Diagnostic, Origin
 from keymint.ir import Rule
 
 _PAIRS = (

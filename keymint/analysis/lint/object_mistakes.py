@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-from comarmor.errors import Diagnostic, Origin, Spot
 from comarmor.patterns.glob import literal, parse, prefix
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.rules import KIND_OF, Effect
@@ -19,6 +18,7 @@ from keymint.analysis.lint.findings import ExpressionOrigins, undecided_note
 from keymint.analysis.lint.name_similarity import MOST_EDITS, CandidateNames
 from keymint.analysis.query import who_can
 from keymint.api import LoadedPolicy
+from keymint.errors import Diagnostic, Origin, Spot
 from keymint.ir import Rule
 
 _READING = frozenset({"subscribe", "ros_subscribe", "ros_read"})

@@ -13,7 +13,6 @@ from itertools import groupby
 from operator import itemgetter
 from typing import NamedTuple
 
-from comarmor.errors import Diagnostic, Origin, Spot
 from comarmor.patterns.decision_lists import Block, Equal, ProofResult, Unknown
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.pattern_index import PatternIndex
@@ -37,6 +36,7 @@ from keymint.analysis.rule_lists import (
 from keymint.analysis.subject_patterns import SubjectClass, profile_subjects, rules_of, with_distinct_rules
 from keymint.analysis.symbolic_rules import SymbolicRules, placeholders, symbolic_patterns
 from keymint.api import LoadedPolicy, PolicyStructure
+from keymint.errors import Diagnostic, Origin, Spot
 from keymint.ir import Rule
 
 UNIT = 300_000

@@ -8,12 +8,11 @@ from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
 
-from comarmor.errors import Diagnostic, Severity
 from comarmor.text import did_you_mean, quantity
 from keymint.command_line.named_files import write_outputs
 from keymint.command_line.options import Names, names_group, period, standard_option, strict_option
 from keymint.command_line.verb import FILE, Report, Run, findings_if, flag, option, path_option, verb
-from keymint.errors import KeymintError, usage_error
+from keymint.errors import Diagnostic, KeymintError, Severity, usage_error
 from keymint.examine.check import check as find
 from keymint.examine.keystore import SHOWN_NOTES, not_examined, proven_keystore
 from keymint.examine.nodes import NODE_NOTES, of_packages

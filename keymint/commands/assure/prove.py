@@ -10,12 +10,11 @@ from typing import Any
 
 import click
 
-from comarmor.errors import Diagnostic
 from comarmor.text import quantity
 from keymint.api import Claim, Counterexample, PolicyDecision, Proof, Verdict
 from keymint.command_line.options import Names, Number, names_group, standard_option, strict_option, vendors_of_option
 from keymint.command_line.verb import Report, Run, findings_exit, findings_if, option, verb
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import Diagnostic, ExitCode, KeymintError
 from keymint.examine import keystore
 from keymint.life import terms
 from keymint.life.examine import orphan_findings

@@ -18,7 +18,6 @@ from typing import Any, TypeVar, cast
 
 import click
 
-from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns.glob import Glob, parse
 from comarmor.patterns.relations import disjoint
 from comarmor.text import encodable_value, natural_order, quote
@@ -37,7 +36,7 @@ from keymint.commands.life.authority_show import authority_show
 from keymint.commands.life.issued import issued_certificates
 from keymint.commands.understand.query import legal_expression
 from keymint.drawing.html_report import audit_page
-from keymint.errors import KeymintError, usage_error
+from keymint.errors import Diagnostic, KeymintError, Severity, usage_error
 from keymint.examine.authorities import EXPOSURES
 from keymint.examine.keystore import REGISTER_IS_OLDER
 from keymint.examine.report_signer import report_signer

@@ -10,13 +10,12 @@ from typing import Any
 
 import click
 
-from comarmor.errors import Diagnostic
 from comarmor.text import natural_order
 from keymint.api import LoadedPolicy
 from keymint.authority.authority_files import elsewhere
 from keymint.command_line.options import Names, names_group, strict_option
 from keymint.command_line.verb import Report, Run, findings_if, flag, option, verb
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError
 from keymint.examine.authorities import exposed_keys
 from keymint.examine.keystore import not_examined
 from keymint.examine.rights import has_earlier, presented_rights

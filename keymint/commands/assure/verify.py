@@ -11,7 +11,6 @@ from typing import Any
 
 import click
 
-from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.regex import lazy_regex
 from comarmor.text import quantity
 from keymint.api import Tier, Transport
@@ -24,6 +23,7 @@ from keymint.command_line.verb import FILE, Report, Run, findings_if, flag, opti
 from keymint.drawing.captions import left_out_json
 from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph, policy_label, select_edges
 from keymint.drawing.simplify import DrawingOptions
+from keymint.errors import Diagnostic, Origin, Severity
 from keymint.life.workspace_register import with_enclaves
 from keymint.output.junit import junit as junit_document
 from keymint.output.mismatches import comparisons_json, diagnostics, enumeration, junit_suites, sarif_results

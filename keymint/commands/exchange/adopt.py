@@ -9,7 +9,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.text import quantity
 from keymint.adoption.adopted_workspace import Adoption, plan_adoption
 from keymint.adoption.keystore_files import found_in
@@ -18,7 +17,7 @@ from keymint.api import Bootstrap, FoundEnclave, FoundKeystore, ImportRequest, K
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import DEFAULT_DISTRO, PolicyOptions, distro_option, library_option
 from keymint.command_line.verb import PATH, Report, Run, argument, findings_exit, flag, option, verb
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin, Severity
 from keymint.examine.adopted_documents import policy_finding, unclear_rights
 from keymint.examine.nodes import NODE_NOTES, node_notes, of_documents
 from keymint.stages.create import policy_path

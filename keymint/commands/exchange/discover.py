@@ -18,13 +18,12 @@ from typing import Any
 
 import click
 
-from comarmor.errors import Diagnostic, Origin
 from keymint.api import DiscoveredGraph, GraphSource, graph_json
 from keymint.api.graph import NAMES_DIFFER, Graph, differing_names
 from keymint.command_line.named_files import deliver, read_input, user_path
 from keymint.command_line.options import Number, graph_source
 from keymint.command_line.verb import Report, Run, flag, option, path_option, plugin, verb
-from keymint.errors import ExitCode, KeymintError, usage_error
+from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin, usage_error
 from keymint.names import typed_subject
 
 _EXIT_CODES = {signal.SIGINT: ExitCode.INTERRUPTED, signal.SIGTERM: ExitCode.TERMINATED}

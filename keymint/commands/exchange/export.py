@@ -6,7 +6,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from comarmor.errors import Origin
 from comarmor.text import did_you_mean
 from keymint.api import LoadedPolicy, PolicyFormat, PolicyType
 from keymint.command_line.named_files import deliver, read_input, replacement_refusal
@@ -15,7 +14,7 @@ from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions, force_option, policy_options
 from keymint.command_line.verb import FILE, PATH, Report, Run, argument, flag, option, path_option, verb
 from keymint.commands.exchange.import_policy import diagnostics_of, proofs_of
-from keymint.errors import KeymintError, usage_error
+from keymint.errors import KeymintError, Origin, usage_error
 from keymint.ir import SubjectRules
 from keymint.names import no_subject, typed_subject
 

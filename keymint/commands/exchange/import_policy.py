@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from comarmor.errors import Diagnostic, Origin
 from comarmor.text import first_few, quantity
 from comarmor.xml.reader import looks_like_xml, parse
 from keymint.api import (
@@ -24,7 +23,7 @@ from keymint.command_line.named_files import deliver, read_input, replacement_re
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions, distro_option, force_option, library_option
 from keymint.command_line.verb import FILE, Report, Run, argument, flag, option, path_option, verb
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.examine.nodes import node_notes
 from keymint.stages.proof.proof_results import ProofEffort, in_words
 from keymint.workspace.policy_loading import foreign_policy

@@ -10,7 +10,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from comarmor.errors import Diagnostic, Origin
 from comarmor.text import quantity
 from comarmor.xml.reader import looks_like_xml
 from keymint.api import GrantedRules, LearnedPolicy, LoadedPolicy, graph_json
@@ -19,7 +18,7 @@ from keymint.command_line.named_files import deliver, read_input, replacement_re
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions, force_option, policy_options
 from keymint.command_line.verb import PATH, Report, Run, argument, findings_if, path_option, verb
-from keymint.errors import KeymintError, usage_error
+from keymint.errors import Diagnostic, KeymintError, Origin, usage_error
 from keymint.output.json import edge_json
 from keymint.stages.proof.proof_results import ProofEffort
 from keymint.workspace.policy_loading import foreign_policy

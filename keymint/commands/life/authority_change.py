@@ -6,13 +6,12 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from comarmor.errors import Diagnostic, Origin
 from keymint.authority import authority_changes as changes
 from keymint.authority.authorities import plan_authorities
 from keymint.command_line.named_files import read_input
 from keymint.command_line.options import authority_argument, flag_day_option
 from keymint.command_line.verb import FILE, Report, Run, argument, path_option, verb
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.life.revocation_lists_in_force import list_of
 from keymint.stages.pipeline import Request, conduct
 from keymint.stages.work import Work

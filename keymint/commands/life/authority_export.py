@@ -5,13 +5,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from comarmor.errors import Diagnostic, Origin
 from keymint.authority import authority_files
 from keymint.authority.authorities import authority_named, only_in_token
 from keymint.command_line.named_files import deliver, write_outputs
 from keymint.command_line.options import authority_argument
 from keymint.command_line.verb import FILE, Report, Run, flag, path_option, verb
-from keymint.errors import KeymintError, usage_error
+from keymint.errors import Diagnostic, KeymintError, Origin, usage_error
 
 
 @verb(of="authority")

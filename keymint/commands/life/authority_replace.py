@@ -8,13 +8,12 @@ from pathlib import Path
 
 import click
 
-from comarmor.errors import Diagnostic
 from keymint.api import Phase
 from keymint.authority import rollover
 from keymint.command_line.options import authority_argument
 from keymint.command_line.verb import FILE, Report, Run, flag, option, path_option, verb
 from keymint.commands.life.authority_change import given_authority
-from keymint.errors import usage_error
+from keymint.errors import Diagnostic, usage_error
 from keymint.stages.rollover_phases import PhaseRequest, phase_plan
 from keymint.store.changes import Plan
 from keymint.workspace.session import Session

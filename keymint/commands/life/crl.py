@@ -9,12 +9,11 @@ from typing import Any
 
 import click
 
-from comarmor.errors import Diagnostic
 from comarmor.text import hexadecimal
 from keymint.authority.authority_files import issuers
 from keymint.command_line.options import validity
 from keymint.command_line.verb import Report, Run, flag, option, verb
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import Diagnostic, ExitCode, KeymintError
 from keymint.life.revocation_lists_in_force import lists, loaded_lists
 from keymint.life.workspace_register import complete_register, installed_lists, register_change
 from keymint.names import subject_of

@@ -8,12 +8,11 @@ from dataclasses import replace
 from datetime import datetime
 from typing import Any
 
-from comarmor.errors import Diagnostic, Severity
 from comarmor.text import quantity
 from keymint.command_line.agreement import confirmed_plan
 from keymint.command_line.options import Names, names_group, prove_option, threshold
 from keymint.command_line.verb import Report, Run, findings_if, flag, option, verb
-from keymint.errors import KeymintError, UnconfirmedError
+from keymint.errors import Diagnostic, KeymintError, Severity, UnconfirmedError
 from keymint.life import renewal_schedule
 from keymint.life.package_issuance import plan_issuance
 from keymint.life.renewal_schedule import AuthorityDue, Due, Schedule, installed_terms, schedule

@@ -9,12 +9,11 @@ from typing import Any
 
 import click
 
-from comarmor.errors import Severity
 from comarmor.text import quantity
 from keymint.command_line.options import Names, names_group, prove_option
 from keymint.command_line.verb import Report, Run, option, verb
 from keymint.commands.life.issued import certificate_json
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Severity
 from keymint.life.package_issuance import Revoking, plan_revocation
 from keymint.life.register import REASONS, SUPERSEDED
 from keymint.life.workspace_register import complete_register

@@ -6,13 +6,12 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint.command_line.named_files import read_input
 from keymint.command_line.robot_options import folder_option, keystore_of, opened_store
 from keymint.command_line.verb import FILE, Report, Run, argument, flag, option, verb
-from keymint.errors import KeymintError, usage_error
+from keymint.errors import KeymintError, Origin, usage_error
 from keymint.examine.bundles import Acceptance, Owner
 from keymint.examine.bundles import accept as accepted
 from keymint.output.report import members

@@ -11,7 +11,6 @@ from typing import Any
 
 from cryptography import x509
 
-from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
 from keymint.api import Package, Phase
 from keymint.authority.authorities import MintedAuthority, plan_authorities
@@ -19,7 +18,7 @@ from keymint.authority.rollover import phase_of
 from keymint.command_line.named_files import told_written, user_path, write_outputs
 from keymint.command_line.options import Names, bundle_output_option, names_group
 from keymint.command_line.verb import Report, Run, flag, verb
-from keymint.errors import KeymintError, usage_error
+from keymint.errors import Diagnostic, KeymintError, Origin, usage_error
 from keymint.examine.keystore import of_enclaves
 from keymint.life.terms import iso_time
 from keymint.life.workspace_register import complete_register, register_change, withdrawn

@@ -11,12 +11,11 @@ from pathlib import Path
 
 import click
 
-from comarmor.errors import Origin
 from keymint.api import KeySpec
 from keymint.command_line.named_files import deliver
 from keymint.command_line.robot_options import folder_option, keystore_of, opened_store
 from keymint.command_line.verb import FILE, Report, Run, argument, flag, option, path_option, verb
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 from keymint.names import package_name, subject_of
 from keymint.pki import certificates, keys
 from keymint.pki.distinguished_names import common_name

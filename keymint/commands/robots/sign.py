@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from comarmor.errors import Defects, Origin
 from comarmor.text import did_you_mean
 from keymint.authority.authorities import plan_authorities
 from keymint.command_line.named_files import read_input
@@ -19,7 +18,7 @@ from keymint.command_line.options import bundle_output_option, prove_option
 from keymint.command_line.verb import FILE, Report, Run, argument, option, verb
 from keymint.commands.robots.accept import fingerprint
 from keymint.commands.robots.bundle import MadeBundle, plan_bundles, require_output, write_bundles
-from keymint.errors import KeymintError, usage_error
+from keymint.errors import Defects, KeymintError, Origin, usage_error
 from keymint.life.examine import Keyring
 from keymint.life.package_issuance import place_of, plan_issuance
 from keymint.life.workspace_register import register_of

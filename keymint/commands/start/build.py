@@ -9,13 +9,12 @@ from pathlib import Path
 
 import click
 
-from comarmor.errors import Diagnostic, Origin
 from comarmor.text import did_you_mean
 from keymint.analysis.lint.attachment_mistakes import attachment_mistakes
 from keymint.api import BuildOptions, Hint, LoadedPolicy
 from keymint.command_line.options import DocumentOptions, Names, document_options, names_group
 from keymint.command_line.verb import Report, Run, flag, verb
-from keymint.errors import KeymintError, usage_error
+from keymint.errors import Diagnostic, KeymintError, Origin, usage_error
 from keymint.names import subject_of
 from keymint.stages.create import UNCREATED, policy_changed, subjects_without_package
 from keymint.stages.pipeline import Request, conduct

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import click
 
-from comarmor.errors import Origin
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint.api import Bootstrap, WorkspaceProfile
@@ -17,7 +16,7 @@ from keymint.api.plugin_loader import Plugins
 from keymint.authority.authorities import plan_authorities
 from keymint.command_line.options import DEFAULT_DISTRO, DEFAULT_PROFILE_TYPE, distro_option, valid_for_option
 from keymint.command_line.verb import PATH, Report, Run, argument, option, option_group, path_option, plugin, verb
-from keymint.errors import KeymintError, usage_error
+from keymint.errors import KeymintError, Origin, usage_error
 from keymint.stages.create import plan_init, policy_path, refuse_unsupported
 from keymint.stages.work import Work
 from keymint.store.changes import Action, Plan, Step

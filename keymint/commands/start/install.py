@@ -7,12 +7,11 @@ from collections.abc import Iterator
 
 import click
 
-from comarmor.errors import Diagnostic
 from keymint.command_line.agreement import confirmed_plan
 from keymint.command_line.options import Names, install_request, names_group, standard_option
 from keymint.command_line.verb import Report, Run, findings_exit, verb
 from keymint.commands.start.build import no_packages
-from keymint.errors import ExitCode
+from keymint.errors import Diagnostic, ExitCode
 from keymint.run.run import exit_code_of
 from keymint.stages.create import UNCREATED, policy_changed, subjects_without_package
 from keymint.stages.pipeline import INSTALL, Request, conduct

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from comarmor.errors import Diagnostic, Origin
 from keymint.analysis.subject_patterns import rules_of
 from keymint.api import LoadedPolicy
 from keymint.authority.authority_files import elsewhere
@@ -16,6 +15,7 @@ from keymint.command_line.verb import PATH, Report, Run, argument, flag, option,
 from keymint.commands.start.build import build_options, policy_slips, unknown_hints
 from keymint.commands.start.create import AcceptanceOptions, accept, acceptance_options
 from keymint.commands.start.init import ProfileOptions, bootstrap_request, profile_options, refuse_contradiction
+from keymint.errors import Diagnostic, Origin
 from keymint.names import no_subject, subject_of
 from keymint.stages import create
 from keymint.stages.pipeline import CREATE, INSTALL, Request, conduct

@@ -6,12 +6,11 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
-from comarmor.errors import Diagnostic
 from comarmor.text import quote
 from comarmor.xml.package_folders import SEARCH_PATH, InstalledPackages
 from comarmor.xml.sandboxed_paths import path_text
 from keymint.command_line.verb import Report, Run, verb
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import Diagnostic, ExitCode, KeymintError
 
 
 @verb(workspace=False)

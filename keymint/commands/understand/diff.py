@@ -9,7 +9,6 @@ from pathlib import Path
 
 import click
 
-from comarmor.errors import Diagnostic, library_name
 from keymint.analysis.policy_diff import diff_policies as compare
 from keymint.analysis.policy_diff import has_gains
 from keymint.analysis.symbolic_search import STATES, QueryBudget
@@ -17,6 +16,7 @@ from keymint.api import LoadedPolicy
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions, policy_options
 from keymint.command_line.verb import Report, Run, argument, findings_if, option, verb
+from keymint.errors import Diagnostic, library_name
 from keymint.host.git import at_revision, is_revision
 from keymint.output.console import Console
 from keymint.output.differences import as_text, differences_json, markdown, summary

@@ -10,14 +10,13 @@ from difflib import unified_diff
 from pathlib import Path
 from typing import Any
 
-from comarmor.errors import Defects, Diagnostic, Origin
 from comarmor.text import quantity
 from comarmor.values import dataclass
 from comarmor.xml.reader import looks_like_xml
 from keymint.api import PolicyType
 from keymint.command_line.named_files import read_input, replace_inputs, user_path
 from keymint.command_line.verb import PATH, Report, Run, argument, findings_if, flag, verb
-from keymint.errors import KeymintError, usage_error
+from keymint.errors import Defects, Diagnostic, KeymintError, Origin, usage_error
 from keymint.view.tree import MAX_FILE
 from keymint.workspace.policy_loading import foreign_policy
 from keymint.workspace.workspace import Workspace

@@ -10,7 +10,6 @@ from typing import Any
 
 import click
 
-from comarmor.errors import Diagnostic
 from comarmor.text import quantity
 from keymint.api import graph_json
 from keymint.api.graph import EdgeOutcome, Graph
@@ -31,7 +30,7 @@ from keymint.drawing.labelled_graph import (
     select_edges,
 )
 from keymint.drawing.simplify import DrawingOptions, Split, simplify
-from keymint.errors import ExitCode, KeymintError, usage_error
+from keymint.errors import Diagnostic, ExitCode, KeymintError, usage_error
 from keymint.workspace.policy_loading import load_policy
 from keymint.workspace.session import Session
 

@@ -10,7 +10,6 @@ from itertools import islice, product
 from pathlib import Path
 from typing import Any
 
-from comarmor.errors import Diagnostic
 from comarmor.patterns.decision_lists import Equal
 from comarmor.patterns.glob import Glob, literal, matches, parse
 from comarmor.patterns.tokens import PatternError
@@ -25,7 +24,7 @@ from keymint.api import LoadedPolicy
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions, kind_option, policy_options, raw_topic_doubt
 from keymint.command_line.verb import Report, Run, argument, findings_if, flag, option, verb
-from keymint.errors import usage_error
+from keymint.errors import Diagnostic, usage_error
 from keymint.names import RAW, typed_permission, typed_subject
 from keymint.output.audit_rights import holder_json
 from keymint.output.json import line_json

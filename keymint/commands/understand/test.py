@@ -7,14 +7,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
-from comarmor.errors import Defects, Diagnostic, Origin, Spot
 from keymint.analysis.policy_tests import ExpectationChecker, ExpectationResult, diagnostics
 from keymint.api import Expectation
 from keymint.command_line.named_files import write_outputs
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import Number, PolicyOptions, policy_options
 from keymint.command_line.verb import FILE, PATH, Report, Run, argument, findings_if, option, path_option, verb
-from keymint.errors import KeymintError, usage_error
+from keymint.errors import Defects, Diagnostic, KeymintError, Origin, Spot, usage_error
 from keymint.ir import Rule
 from keymint.output.junit import JUnitCase
 from keymint.output.junit import junit as junit_document

@@ -10,10 +10,10 @@ from typing import Any
 
 import click
 
-from comarmor.errors import Diagnostic
 from keymint.api import DomainRange, Endpoint, Tier
 from keymint.command_line.options import implementation_option, kind_option, raw_topic_doubt
 from keymint.command_line.verb import Report, Run, argument, findings_if, option, verb
+from keymint.errors import Diagnostic
 from keymint.names import name_of
 from keymint.output.json import Typed, decision_json, edge_json, place_json, verdict_json
 from keymint.output.mismatches import document_reason, enumeration, mismatch_finding, request_text, rule_text, verb_of

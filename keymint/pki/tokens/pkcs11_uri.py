@@ -7,11 +7,10 @@ import re
 from collections.abc import Mapping
 from urllib.parse import unquote, unquote_to_bytes
 
-from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
 from comarmor.text import did_you_mean, quote
 from comarmor.values import dataclass
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 
 CODE = "pkcs11-uri"
 """Code of all errors here."""

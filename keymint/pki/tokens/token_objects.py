@@ -12,8 +12,7 @@ from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from pkcs11 import Attribute, KeyType, ObjectClass
 from pkcs11.util.ec import encode_named_curve_parameters
 
-from comarmor.errors import Origin
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 from keymint.pki import der, keys
 
 _CURVES = {encode_named_curve_parameters(each.name): each for each in keys.CURVES.values()}

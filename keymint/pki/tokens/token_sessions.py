@@ -15,10 +15,9 @@ import stat
 from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from comarmor.errors import Origin
 from comarmor.text import did_you_mean, first_few
 from keymint.api import KeySpec
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 
 if TYPE_CHECKING:
     from keymint.pki import keys

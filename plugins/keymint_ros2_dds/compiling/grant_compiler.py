@@ -8,7 +8,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import field, replace
 
-from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns.expression import exact
 from comarmor.patterns.glob import Glob, sort_key
 from comarmor.patterns.relations import disjoint
@@ -16,7 +15,7 @@ from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.rules import Effect
 from comarmor.values import dataclass
 from keymint.api import BuildOptions, Grant, Hint
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Severity
 from keymint.ir import Rule
 from keymint_ros2_dds.compiling import partitions
 from keymint_ros2_dds.compiling.partitions import UnportableError

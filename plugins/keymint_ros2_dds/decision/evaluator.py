@@ -17,11 +17,11 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from datetime import datetime
 from functools import cached_property, lru_cache
 
-from comarmor.errors import Origin
 from comarmor.patterns.expression import literal_prefix
 from comarmor.patterns.tokens import Dialect
 from comarmor.values import dataclass
 from keymint.api import Verdict
+from keymint.errors import Origin
 from keymint_ros2_dds.decision.semantics import OMG, Semantics, TopicCheck, Variation
 from keymint_ros2_dds.reading import dialects, signed_permissions
 from keymint_ros2_dds.reading.signed_governance import ACCESS, DocumentDomainRule, DocumentTopicRule, GovernanceDocument

@@ -12,13 +12,12 @@ from collections.abc import Mapping
 
 from lxml import etree
 
-from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
 from comarmor.text import quote
 from comarmor.xml.reader import line, parse
 from keymint.api import DiscoveredGraph
 from keymint.api.graph_json import MAX_DOMAIN
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 from keymint_ros2_dds.discovery.capture import DiscoveredEndpoint, DiscoveredParticipant, discovered_graph
 
 _NUMBER = lazy_regex(r"[0-9]{1,9}")

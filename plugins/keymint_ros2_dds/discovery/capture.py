@@ -28,7 +28,6 @@ import re
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping
 
-from comarmor.errors import Diagnostic, Severity
 from comarmor.regex import lazy_regex
 from comarmor.rules import PARTS, is_fully_qualified, parts
 from comarmor.text import first_few
@@ -36,7 +35,7 @@ from comarmor.values import dataclass
 from keymint.api import DiscoveredGraph
 from keymint.api.graph import Edge, Graph, Object, is_generated
 from keymint.api.graph_json import legal_node, legal_text, partitions
-from keymint.errors import usage_error
+from keymint.errors import Diagnostic, Severity, usage_error
 from keymint_ros2_dds.lowering.endpoints import meanings
 from keymint_ros2_dds.lowering.name_mapping import ARDENT
 

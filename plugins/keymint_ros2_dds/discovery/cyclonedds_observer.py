@@ -16,9 +16,8 @@ from functools import cache, partial
 from threading import Event
 from typing import Any
 
-from comarmor.errors import Diagnostic
 from keymint.api import Availability, DiscoveredGraph
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError
 from keymint_ros2_dds.discovery.capture import DiscoveredEndpoint, DiscoveredParticipant, discovered_graph
 
 LIBRARY = "libddsc.so.0debian"

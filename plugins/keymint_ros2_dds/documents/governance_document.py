@@ -9,14 +9,13 @@ from functools import lru_cache
 
 from lxml import etree
 
-from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns import glob
 from comarmor.patterns.expression import exact
 from comarmor.patterns.glob import EVERYTHING, Glob
 from comarmor.patterns.relations import covers, union_covers
 from comarmor.regex import lazy_regex
 from keymint.api import Package
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Severity
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.domains import check_domains
 from keymint_ros2_dds.enclave_layout import GOVERNANCE

@@ -8,10 +8,9 @@ from functools import lru_cache
 
 from lxml import etree
 
-from comarmor.errors import Diagnostic
 from comarmor.rules import Effect
 from keymint.api import DomainRange, Grant
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.domains import check_domains
 from keymint_ros2_dds.enclave_layout import PERMISSIONS

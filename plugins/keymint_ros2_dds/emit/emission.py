@@ -7,11 +7,10 @@ refuted or not decided, the plain form is emitted.
 
 from __future__ import annotations
 
-from comarmor.errors import Diagnostic
 from comarmor.patterns.steps import step_limit
 from comarmor.values import dataclass
 from keymint.api import BuildOptions, Claim, ComparisonTask, Grant, Package, Proof
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError
 from keymint_ros2_dds.compiling.grant_compiler import Compiled, compile_rules, vendor_notes
 from keymint_ros2_dds.decision.semantics import OMG, VARIATIONS, shipped_models
 from keymint_ros2_dds.documents import dds_xml, permissions_document

@@ -14,9 +14,8 @@ from typing import Any
 
 from cryptography import x509
 
-from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import DomainRange, FoundEnclave, FoundGrant, TrustAnchor, TrustAnchors, Validity
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.names import name_of, package_name
 from keymint.pki import certificates, examine, keys
 from keymint.pki.distinguished_names import MAX_COMMON_NAME, attributes, to_text

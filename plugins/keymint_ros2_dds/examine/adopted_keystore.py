@@ -14,10 +14,9 @@ from typing import Any
 
 from cryptography import x509
 
-from comarmor.errors import Diagnostic, Origin
 from comarmor.text import hexadecimal, quantity
 from keymint.api import FoundAuthority, FoundEnclave, FoundKeystore, KeystoreFiles, TrustAnchor
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.pki import certificates, extensions, foreign_authorities, keys, revocation_lists
 from keymint.pki.distinguished_names import to_text
 from keymint.pki.revocation_lists import RevocationList

@@ -9,11 +9,10 @@ from contextlib import suppress
 from dataclasses import replace
 from datetime import timedelta
 
-from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.patterns.decision_lists import SearchBudget
 from comarmor.patterns.tokens import PatternError
 from keymint.api import Inspection
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.pki import certificates, distinguished_names, smime
 from keymint_ros2_dds import enclave_layout as layout
 from keymint_ros2_dds import governance_warnings, vendor_limits

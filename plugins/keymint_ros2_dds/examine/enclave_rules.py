@@ -13,11 +13,10 @@ from datetime import datetime, timedelta
 from functools import cached_property
 from typing import Generic, TypeVar
 
-from comarmor.errors import Defects, Diagnostic
 from comarmor.text import hexadecimal
 from comarmor.values import dataclass
 from keymint.api import EnclaveFiles, TrustAnchors
-from keymint.errors import KeymintError
+from keymint.errors import Defects, Diagnostic, KeymintError
 from keymint.pki import certificates, keys, revocation_lists, smime
 from keymint.pki.examine import IdentityCheck, When, anchor_defects, utc_time
 from keymint.pki.smime import SignedDocument

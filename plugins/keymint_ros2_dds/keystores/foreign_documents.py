@@ -15,9 +15,8 @@ from functools import lru_cache
 
 from lxml import etree
 
-from comarmor.errors import Diagnostic
 from keymint.api import BuildOptions, Comparison, ComparisonTask, DocumentComparison, ImportedSubject, Package, Relation
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError
 from keymint.pki import distinguished_names
 from keymint_ros2_dds import subject_names
 from keymint_ros2_dds.compiling.grant_compiler import compile_rules

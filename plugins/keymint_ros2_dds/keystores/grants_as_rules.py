@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import compress
 
-from comarmor.errors import Diagnostic, Origin
 from comarmor.patterns import glob
 from comarmor.patterns.expression import canonical
 from comarmor.patterns.glob import EVERYTHING, Glob, matches
@@ -21,7 +20,7 @@ from comarmor.rules import Effect, Rule
 from comarmor.text import quote
 from comarmor.values import dataclass
 from keymint.api import DomainRange, EnclaveFiles, FoundEnclave, GrantedRules, InstalledRights, KeystoreFiles
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.ir import SubjectRules
 from keymint.pki import certificates, smime
 from keymint.pki.distinguished_names import parse

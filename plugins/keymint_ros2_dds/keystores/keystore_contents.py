@@ -13,10 +13,9 @@ from contextlib import suppress
 
 from cryptography import x509
 
-from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint.api import KeystoreFile, KeystoreFiles
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 from keymint.names import package_name
 from keymint.pki import certificates, extensions, keys, smime
 from keymint.pki.distinguished_names import attributes

@@ -12,7 +12,6 @@ from functools import lru_cache
 from itertools import chain
 from typing import Generic, TypeVar
 
-from comarmor.errors import Diagnostic
 from comarmor.patterns import glob
 from comarmor.patterns.expression import exact
 from comarmor.patterns.glob import Glob
@@ -21,7 +20,7 @@ from comarmor.patterns.tokens import SPECIAL
 from comarmor.rules import Effect
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError
 from keymint.ir import Rule, SubjectRules
 from keymint_ros2_dds.lowering import name_mapping
 from keymint_ros2_dds.lowering.name_mapping import TopicAction, dds_patterns, has_kind, needed_topics, parse_expression

@@ -24,7 +24,6 @@ from functools import lru_cache
 from itertools import product
 from types import MappingProxyType
 
-from comarmor.errors import Origin
 from comarmor.patterns import glob
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.possible_names import matches_ros_name
@@ -33,7 +32,7 @@ from comarmor.patterns.tokens import STAR, Charset, PatternError, Star, Token
 from comarmor.rules import PARTS, Effect, parts
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 
 
 class TopicAction(StrEnum):

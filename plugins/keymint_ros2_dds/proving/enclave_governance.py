@@ -12,13 +12,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
 from itertools import pairwise, product
 
-from comarmor.errors import Reason
 from comarmor.patterns.decision_lists import Block, DecisionList, SearchBudget, Unknown, Witness
 from comarmor.patterns.glob import EVERYTHING
 from comarmor.patterns.proofs import escapes
 from comarmor.patterns.tokens import PatternError
 from comarmor.values import dataclass
 from keymint import api
+from keymint.errors import Reason
 from keymint_ros2_dds.decision.evaluator import DomainAccess
 from keymint_ros2_dds.decision.semantics import STANDARD, Semantics, Variation
 from keymint_ros2_dds.documents import governance_document

@@ -8,11 +8,10 @@ from datetime import UTC, datetime, timedelta
 from functools import lru_cache
 from itertools import pairwise
 
-from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint.api import ValidityTerm
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 from keymint.pki import revocation_lists
 from keymint.pki.examine import certificate_terms
 from keymint_ros2_dds import subject_names

@@ -11,7 +11,6 @@ from collections.abc import Collection, Iterator
 from dataclasses import replace
 from datetime import datetime
 
-from comarmor.errors import Reason
 from comarmor.patterns import glob
 from comarmor.patterns.decision_lists import SearchBudget
 from comarmor.patterns.glob import matches
@@ -19,6 +18,7 @@ from comarmor.rules import Effect, is_fully_qualified, parts
 from comarmor.values import dataclass
 from keymint.api import ComparisonTask, Counterexample, DomainRange, Endpoint, PolicyDecision, Verdict
 from keymint.api.graph import Edge, Object
+from keymint.errors import Reason
 from keymint.ir import Rule, SubjectRules
 from keymint_ros2_dds.decision import semantics
 from keymint_ros2_dds.decision.evaluator import DocumentEvaluator, DomainAccess

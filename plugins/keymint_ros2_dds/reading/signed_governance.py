@@ -14,10 +14,9 @@ from functools import lru_cache
 
 from lxml import etree
 
-from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
 from comarmor.xml.reader import line, parse
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint_ros2_dds.enclave_layout import GOVERNANCE, GOVERNANCE_XML
 from keymint_ros2_dds.reading import dialects
 from keymint_ros2_dds.reading.dialects import PLAIN, REFUSES, UNMODELLED, Quirk

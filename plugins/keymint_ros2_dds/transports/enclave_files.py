@@ -11,10 +11,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
-from comarmor.errors import Origin
 from keymint.api import Environment, InstalledEnclave
 from keymint.api.transports import installed_file
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 from keymint.pki import certificates, smime
 from keymint_ros2_dds import enclave_layout as layout
 from keymint_ros2_dds import subject_names

@@ -17,12 +17,11 @@ from itertools import repeat
 
 from cryptography import x509
 
-from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
 from keymint.api import Availability, Environment, InstalledEnclave, Tier, Transport, Verdict
 from keymint.api.graph import Column, Edge
 from keymint.api.transports import EnclavesBySubject, installed_file
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 from keymint.pki import certificates, revocation_lists
 from keymint_ros2_dds import enclave_layout as layout
 from keymint_ros2_dds.decision import semantics

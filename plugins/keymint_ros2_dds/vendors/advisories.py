@@ -17,8 +17,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 
-from comarmor.errors import Diagnostic
-from keymint.errors import usage_error
+from keymint.errors import Diagnostic, usage_error
 
 _PACKAGES = {
     "fastdds": r"libfastrtps|libfastdds|ros-[a-z]+-fast(?:rtps|dds)$",

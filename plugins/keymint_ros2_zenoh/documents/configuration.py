@@ -13,8 +13,8 @@ from dataclasses import field, fields
 from enum import StrEnum
 from typing import Any
 
-from comarmor.errors import Origin
 from comarmor.values import dataclass
+from keymint.errors import Origin
 
 
 class Message(StrEnum):

@@ -14,9 +14,8 @@ from typing import Any
 import fastjsonschema
 
 from comarmor.data import locate
-from comarmor.errors import Diagnostic, Origin
 from comarmor.text import did_you_mean, quote
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint_ros2_zenoh import keyexpr
 from keymint_ros2_zenoh.documents import json5
 from keymint_ros2_zenoh.documents.configuration import (

@@ -14,10 +14,9 @@ from typing import Any
 
 import pyjson5
 
-from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
 from comarmor.text import quote
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 
 FILE_BYTES = 64 * 2**20
 """Bytes of one file: a router's file of 1,000 enclaves has a few megabytes."""

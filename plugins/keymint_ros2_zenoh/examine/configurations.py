@@ -12,10 +12,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
-from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.text import quote
 from keymint.api import Package
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint_ros2_zenoh.documents.configuration import (
     ROUTER_SETTINGS,
     SESSION_SETTINGS,

@@ -17,10 +17,9 @@ from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
-from comarmor.errors import Diagnostic, Origin
 from comarmor.text import quote
 from keymint.api import EnclaveFiles, Inspection, TrustAnchor, ValidityTerm
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.names import name_of
 from keymint.pki import certificates, cms, extensions
 from keymint.pki.examine import IdentityCheck, anchor_defects, certificate_terms

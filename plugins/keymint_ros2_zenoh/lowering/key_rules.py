@@ -16,7 +16,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from itertools import chain
 
-from comarmor.errors import Defects, Diagnostic, Severity
 from comarmor.patterns import glob
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.possible_names import advice, matches_ros_name
@@ -26,7 +25,7 @@ from comarmor.rules import Effect, parts
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint.api import DomainRange, Package
-from keymint.errors import KeymintError
+from keymint.errors import Defects, Diagnostic, KeymintError, Severity
 from keymint.ir import Rule, SubjectRules
 from keymint_ros2_zenoh import keyexpr
 from keymint_ros2_zenoh.documents.configuration import AclRule, Flow, Message, Permission

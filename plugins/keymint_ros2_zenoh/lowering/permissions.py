@@ -19,13 +19,12 @@ from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from itertools import product, starmap
 
-from comarmor.errors import Origin
 from comarmor.rules import parts
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint.api import Endpoint
 from keymint.api.graph import Edge
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 from keymint_ros2_zenoh.documents.configuration import Flow, Message
 from keymint_ros2_zenoh.keyexpr import ANY_CHUNK, ANY_CHUNKS, KeyExpr, literal, of_chunks
 

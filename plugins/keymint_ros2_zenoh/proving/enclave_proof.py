@@ -11,7 +11,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from itertools import product
 
-from comarmor.errors import Diagnostic, Reason
 from comarmor.patterns import glob
 from comarmor.patterns.decision_lists import BudgetError, Equal, ProofResult, SearchBudget, Unknown, Witness
 from comarmor.patterns.expression import exact
@@ -20,7 +19,7 @@ from comarmor.patterns.steps import spend, step_counting_cache
 from comarmor.rules import Effect
 from comarmor.values import dataclass
 from keymint.api import Claim, Counterexample, DomainRange, Endpoint, PolicyDecision, Proof, ProofTask, Verdict
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Reason
 from keymint.pki.examine import enclave_file
 from keymint_ros2_zenoh.decision import AccessModel, KeyLists, LinkAccess, first_common_name
 from keymint_ros2_zenoh.documents.configuration import Flow, Message

@@ -10,12 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 
-from comarmor.errors import Origin
 from comarmor.patterns import glob
 from comarmor.regex import lazy_regex
 from comarmor.rules import Effect
 from keymint.api import DomainRange, EnclaveFiles, InstalledRights
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 from keymint.ir import Rule
 from keymint.pki import distinguished_names
 from keymint_ros2_zenoh.decision import LinkAccess, first_common_name

@@ -6,13 +6,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import lru_cache
 
-from comarmor.errors import Reason
 from comarmor.patterns import glob
 from comarmor.patterns.glob import Glob, matches
 from comarmor.patterns.tokens import Charset, charset
 from comarmor.rules import Effect, suffixes
 from keymint.api import PolicyDecision
 from keymint.api.graph import Edge, Object
+from keymint.errors import Reason
 from keymint.ir import Rule, SubjectRules
 from keymint_ros2_zenoh.documents.configuration import Flow, Message
 from keymint_ros2_zenoh.keyexpr import ALPHABET, VERBATIM

@@ -12,12 +12,11 @@ import hashlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path, PurePosixPath
 
-from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint.api import Availability, Environment, InstalledEnclave, Tier, Transport, Verdict
 from keymint.api.graph import Edge
 from keymint.api.transports import EnclavesBySubject, installed_file
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 from keymint.pki import certificates
 from keymint_ros2_zenoh import decision
 from keymint_ros2_zenoh.decision import AccessModel, Link

@@ -12,10 +12,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import count, groupby, islice
 
-from comarmor.errors import Origin
 from keymint.api import Verdict
 from keymint.api.graph import Edge
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Origin
 from keymint.host.vendor_process import ProcessFailedError
 from keymint_ros2_zenoh.documents.configuration import Flow
 from keymint_ros2_zenoh.lowering.permissions import Operation, OperationRequest, operations
