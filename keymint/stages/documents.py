@@ -223,10 +223,11 @@ def obsolete_documents(session: Session, stage: str, folder: Path) -> Iterator[P
         stage: the stage that recorded them.
         folder: the folder that the recorded paths are relative to.
     """
-    for key, stamp in session.state.stamps.get(stage, {}).items():
+    recorded = session.state.stamps.get(stage, {})
+    for key in recorded:
         build_type = shared_type(key)
         if build_type and build_type not in users(session):
-            changes = removals(session, folder, stamp.outputs)
+            changes = removals(session, folder, recorded[key].outputs)
             yield PackagePlan(key, Step(stage, "", Action.REMOVED, changes, f"shared documents of {build_type}"))
 
 

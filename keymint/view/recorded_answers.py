@@ -44,8 +44,6 @@ _VARIABLES = {"ROS_DISTRO", "ROS_DOMAIN_ID", "AMENT_PREFIX_PATH"}
 _TICK, _COARSE_TICK = 20_000_000, 2_000_000_000
 """Nanoseconds in which a file may change twice and have the same time; the second if times are whole seconds."""
 _DATE = lazy_regex(rb"-(?<=(\d{4}-))(\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d+)?(?:Z|[+-]\d\d:\d\d))")  # few bytes are "-"
-_LONGEST_DATE, _CHUNK = 64, 1 << 20
-"""More bytes than a date has, and bytes in which some are sought at a time."""
 _ALWAYS = 1e12
 NEVER = 1 << 63
 """In place of a time: the status of this folder is never trusted, e.g. because it contains a link."""
@@ -240,11 +238,8 @@ def record(
     ):
         return None
     operands = [argument for argument in call.arguments if not argument.startswith("-")]
-    found, last = set[bytes](), b""
     with open(state, "rb") as opened:  # noqa: PTH123 - the path is a text
-        while chunk := opened.read(_CHUNK):  # the record of a large fleet takes memory
-            found.update(b"".join(each.groups()) for each in _DATE.finditer(last + chunk))
-            last = chunk[-_LONGEST_DATE:]
+        found = {b"".join(each.groups()) for each in _DATE.finditer(opened.readline())}  # no other line has dates
     recorded = (datetime.fromisoformat(text.decode()) for text in found)
     ends = [moment for date in (*dates, *recorded) if (moment := date.timestamp()) >= call.now]
     digests: dict[tuple[tuple[str, ...], ...], dict[str, str]] = {}

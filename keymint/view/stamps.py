@@ -9,25 +9,23 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import io
+import itertools
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import field
-from typing import Any, Self, TypeVar
+from typing import Any, NamedTuple, Self, TypeVar
 
 from comarmor.values import dataclass
 
 _V = TypeVar("_V")
 
 MAX_RECORD = 1 << 30
-"""Largest record in bytes; an enclave needs about 2,400."""
-VERSION = 3
+"""Largest record in bytes; an enclave needs about 2,000."""
+VERSION = 4
 _DIGEST = 64
-"""Characters of a digest; longer texts are written once."""
-_OF_STAMP = 512
-"""About the bytes that a stamp takes in a record."""
+"""Characters of a digest; what longer texts have in common is written once."""
 _AT_ONCE = 256
-"""Stamps that become text together."""
+"""Lines that are hashed together."""
 _SEAL, _END = b',"sha256":"', b'"}\n'
 """Text around the digest at the end of a record, which detects damage."""
 
@@ -116,6 +114,93 @@ class Stamp:
         return Stamp(self.inputs, outputs, self.secret, self.context, self.lifetimes, self.build_types)
 
 
+class _Form(NamedTuple):
+    """What the stamps of many packages have in common.
+
+    Attributes:
+        files: names of the files that were written, sorted.
+        secret: which of them are secret, sorted.
+        build_types: see :class:`Stamp`.
+        texts: of the inputs, the context, the lifetimes and each file: the text before, between and after what is
+            quoted in it; nothing if the whole text is the package's own.
+    """
+
+    files: tuple[str, ...]
+    secret: tuple[str, ...]
+    build_types: tuple[str, ...]
+    texts: tuple[tuple[str, ...], ...]
+
+
+_form_of = functools.lru_cache(maxsize=64)(_Form)
+_Row = tuple[_Form, bytes]
+"""A form, and what is the package's own: texts with tabs in between."""
+
+
+def _row(stamp: Stamp) -> _Row:
+    files = tuple(sorted(stamp.outputs))
+    texts = [stamp.inputs, stamp.context, stamp.lifetimes, *map(stamp.outputs.__getitem__, files)]
+    common, own = list[tuple[str, ...]](), list[str]()
+    for text in texts:
+        if len(text) <= _DIGEST:
+            common.append(())
+            own.append(text)
+        else:
+            pieces = text.split("'")
+            pieces = pieces if len(pieces) % 2 else [text]
+            common.append(tuple(pieces[::2]))
+            own += pieces[1::2]
+    line = "\t".join(own)
+    if (
+        ":" in line or "\n" in line or line.count("\t") >= len(own) or not line.isascii()
+    ):  # it may be a date, or no line
+        common, line = [(text,) for text in texts], ""
+    form = _form_of(files, tuple(sorted(stamp.secret)), stamp.build_types, tuple(common))
+    return form, line.encode()
+
+
+class Stamps(Mapping[str, Stamp]):
+    """Stamps by name, kept as they are written: what did not change is neither read nor made again.
+
+    Args:
+        rows: by name.
+    """
+
+    __slots__ = ("rows",)
+
+    def __init__(self, rows: Mapping[str, _Row]) -> None:
+        self.rows = rows
+
+    @classmethod
+    def of(cls, stamps: Mapping[str, Stamp]) -> Stamps:
+        """Return the mapping with the same stamps."""
+        return stamps if isinstance(stamps, Stamps) else cls({name: _row(stamp) for name, stamp in stamps.items()})
+
+    def __getitem__(self, name: str) -> Stamp:
+        form, line = self.rows[name]
+        own = itertools.chain(line.decode("latin-1").split("\t"), itertools.repeat(""))
+        inputs, context, lifetimes, *values = [
+            pieces[0] + "".join([f"'{next(own)}'{piece}" for piece in pieces[1:]]) if pieces else next(own)
+            for pieces in form.texts
+        ]
+        outputs = dict(zip(form.files, values, strict=True))
+        return Stamp(inputs, outputs, form.secret, context, lifetimes, form.build_types)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.rows
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.rows)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __eq__(self, other: object) -> bool:
+        return self.rows == other.rows if isinstance(other, Stamps) else Mapping.__eq__(self, other)
+
+    def __hash__(self) -> int:
+        return hash(frozenset(self.rows))
+
+
 @dataclass(frozen=True, slots=True)
 class State:
     """All stamps of a workspace, by ``stage`` and package name.
@@ -135,65 +220,49 @@ class State:
         """Return the stamp of a package, or None."""
         return self.stamps.get(stage, {}).get(package)
 
+    def build_types(self, stage: str, package: str) -> tuple[str, ...]:
+        """Return the build types of the stamp of a package; none if there is no stamp, or it does not know them."""
+        rows = Stamps.of(self.stamps.get(stage, {})).rows
+        return rows[package][0].build_types if package in rows else ()
+
     def updated(self, stage: str, stamps: Mapping[str, Stamp], removed: Iterable[str] = ()) -> State:
         """Return the state with stamps of one stage added or replaced, and some removed."""
-        gone = set(removed)
-        merged = {name: stamp for name, stamp in self.stamps.get(stage, {}).items() if name not in gone}
-        return State({**self.stamps, stage: {**merged, **stamps}})
+        rows = dict(Stamps.of(self.stamps.get(stage, {})).rows)
+        for name in removed:
+            rows.pop(name, None)
+        return State({**self.stamps, stage: Stamps({**rows, **Stamps.of(stamps).rows})})
 
     def dump(self) -> bytes:
         """Return the record as bytes; equal states give equal bytes.
 
-        Long texts, and what the stamps of a stage have in common, are written once and referred to by number.
+        Its first line has the forms, with the names of their stamps, and everything that may be a date. A line for
+        each stamp follows.
         """
-        texts: dict[str, int] = {}
-        shapes: dict[tuple[tuple[str, ...], ...], int] = {}
-
-        def brief(text: str) -> str | int:
-            return text if len(text) <= _DIGEST else texts.setdefault(text, len(texts))
-
-        def row(stamp: Stamp) -> list[Any]:
-            files = tuple(sorted(stamp.outputs))
-            shape = files, tuple(sorted(stamp.secret)), stamp.build_types
-            values = [brief(stamp.outputs[file]) for file in files]
-            number = shapes.setdefault(shape, len(shapes))
-            return [stamp.inputs, number, values, brief(stamp.context), brief(stamp.lifetimes)]
-
-        # Some stamps at a time become text: what the rows of a large fleet take is more than the stamps.
-        body = io.BytesIO()
-        body.seek(_OF_STAMP * sum(map(len, self.stamps.values())))  # or it would be copied as it grows
-        body.write(b" ")
-        body.seek(0)
-        body.write(b'{"stamps":{')
-        for number, (stage, of_stage) in enumerate(sorted(self.stamps.items())):
-            body.write(f"{'},' if number else ''}{_json(stage)}:{{".encode())
-            names = sorted(of_stage)
-            for at in range(0, len(names), _AT_ONCE):
-                rows = _json({name: row(of_stage[name]) for name in names[at : at + _AT_ONCE]})
-                body.write(f"{',' if at else ''}{rows[1:-1]}".encode())
-        body.write(f'{"}" if self.stamps else ""}}},"shapes":{_json([*shapes])},"texts":['.encode())
-        for number, text in enumerate(texts):
-            body.write(f"{',' if number else ''}{_json(text)}".encode())
-        body.write(f'],"version":{VERSION}'.encode())
-        body.truncate()
-        return _sealed(body)
+        stages: dict[str, list[tuple[Any, ...]]] = {}
+        lines: list[bytes] = []
+        for stage, of_stage in sorted(self.stamps.items()):
+            by_form: dict[_Form, dict[str, bytes]] = {}
+            last, named = None, dict[str, bytes]()
+            for name, (form, line) in sorted(Stamps.of(of_stage).rows.items()):
+                if form is not last:  # a hash of each form would take long
+                    last, named = form, by_form.setdefault(form, {})
+                named[name] = line
+            stages[stage] = [(*form, [*named]) for form, named in by_form.items()]
+            lines += itertools.chain(*map(dict.values, by_form.values()))
+        hashed = hashlib.sha256()
+        for at in range(0, len(lines), _AT_ONCE):  # the lines of a large fleet take memory
+            hashed.update(b"\n".join((*lines[at : at + _AT_ONCE], b"")))
+        first = sealed_document({"version": VERSION, "lines": hashed.hexdigest(), "stages": stages})
+        return b"\n".join((first[:-1], *lines, b""))
 
 
 _json = json.JSONEncoder(separators=(",", ":"), sort_keys=True).encode
 
 
 def sealed_document(document: Mapping[str, Any]) -> bytes:
-    """Return a document as JSON that ends with its digest; equal documents give equal bytes."""
-    body = io.BytesIO()
-    body.write(_json(document).removesuffix("}").encode())
-    return _sealed(body)
-
-
-def _sealed(body: io.BytesIO) -> bytes:
-    with body.getbuffer() as content:
-        seal = digest(content).encode()
-    body.write(b"".join((_SEAL, seal, _END)))
-    return body.getvalue()  # which is no copy
+    """Return a document as one line of JSON that ends with its digest; equal documents give equal bytes."""
+    body = _json(document).removesuffix("}").encode()
+    return b"".join((body, _SEAL, digest(body).encode(), _END))
 
 
 def unsealed_document(content: bytes | None, version: int) -> Mapping[str, Any] | None:
@@ -214,26 +283,24 @@ def load(content: bytes | None) -> State:
     Args:
         content: result of :meth:`State.dump`.
     """
-    document = unsealed_document(content, VERSION) or {}
-    try:
-        texts = tuple(map(str, document["texts"]))
-        shapes = [tuple(tuple(map(str, names)) for names in shape) for shape in document["shapes"]]
-
-        def stamp(
-            inputs: str, number: int, values: Sequence[str | int], context: str | int, lifetimes: str | int
-        ) -> Stamp:
-            files, secret, build_types = shapes[number]
-            outputs = dict(zip(files, map(whole, values), strict=True))
-            return Stamp(str(inputs), outputs, secret, whole(context), whole(lifetimes), build_types)
-
-        def whole(brief: str | int) -> str:
-            return texts[brief] if isinstance(brief, int) else str(brief)
-
-        return State(
-            {
-                str(stage): {str(name): stamp(*row) for name, row in of_stage.items()}
-                for stage, of_stage in document["stamps"].items()
-            }
-        )
-    except (ValueError, KeyError, TypeError, AttributeError, IndexError):
+    content = content or b""
+    first, *lines = content.split(b"\n")
+    document = unsealed_document(first + b"\n", VERSION)
+    if document is None or hashlib.sha256(memoryview(content)[len(first) + 1 :]).hexdigest() != document.get("lines"):
         return State()
+    at, stamps = 0, dict[str, Stamps]()
+    try:
+        for stage, sections in document["stages"].items():
+            rows: dict[str, _Row] = {}
+            for *names_of_form, texts, names in sections:
+                files, secret, build_types = (tuple(map(str, some)) for some in names_of_form)
+                form = _Form(files, secret, build_types, tuple(tuple(map(str, pieces)) for pieces in texts))
+                at, start = at + len(names), at
+                if at >= len(lines) or len(form.texts) != len(_Form._fields) - 1 + len(files):
+                    return State()
+                own = [(form, line) for line in lines[start:at]]
+                rows.update(zip(map(str, names), own, strict=True))
+            stamps[stage] = Stamps(rows)
+    except (ValueError, KeyError, TypeError, AttributeError):
+        return State()
+    return State(stamps)

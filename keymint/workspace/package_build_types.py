@@ -45,9 +45,8 @@ def _build_types(session: Session, package: Package) -> Mapping[str, BuildType]:
 
 def recorded_build_types(session: Session, name: str) -> tuple[str, ...]:
     """Return the build types of an enclave; those of the profile if its sources are gone or have defects."""
-    stamp = session.state.stamp(BUILD, name)
-    if stamp is not None and stamp.build_types:
-        return stamp.build_types
+    if recorded := session.state.build_types(BUILD, name):
+        return recorded
     try:
         return session.package(name).build_types
     except KeymintError:
@@ -128,8 +127,7 @@ def inputs_digest(
         parts = (part for each in members for part in (each, inputs_digest(session, each)))
         return digest(session.profile.layout, *parts)
     if build_types is None:
-        stamp = session.state.stamp(BUILD, name)
-        build_types = stamp.build_types if stamp is not None else ()
+        build_types = session.state.build_types(BUILD, name)
     shares = any(shared_builder(session, each) for each in build_types)
     places = (str(session.workspace.install),) if shares else ()
     return digest(session.profile_digest, session.sources_digest(name, files), session.plugins.versions, *places)
@@ -187,17 +185,16 @@ def users(session: Session) -> Mapping[str, tuple[str, ...]]:
     Raises:
         KeymintError: which build types a package has is unknown, because its sources have defects.
     """
-    names, before = session.packages(), session.state.stamps.get(BUILD, {})
+    names, before = session.packages(), session.state
     found: dict[str, tuple[str, ...]] = {}
     for name in names:
         with contextlib.suppress(KeymintError):  # raised below, if there are shared documents
-            known = before[name].build_types if name in before else ()
-            found[name] = known or tuple(build_types_of(session, session.package(name)))
+            found[name] = before.build_types(BUILD, name) or tuple(build_types_of(session, session.package(name)))
     if not (shared := _sharing(session, found)):
         return {}
     defects = Defects()
     for name in names:
-        if name not in found or (name in before and not is_build_current(session, name)):
+        if name not in found or (before.stamp(BUILD, name) and not is_build_current(session, name)):
             with defects, _blocking(session, shared, name):
                 found[name] = tuple(build_types_of(session, session.package(name)))
     defects.require_none()

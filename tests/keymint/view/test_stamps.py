@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+from hashlib import sha256
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from keymint.view.stamps import Stamp, State, digest, digest_files, load
+from keymint.view.stamps import VERSION, Stamp, State, digest, digest_files, load, sealed_document
 
 WORDS = st.text(max_size=12)
 SECRET = st.lists(WORDS, max_size=2, unique=True).map(lambda names: tuple(sorted(names)))
@@ -55,6 +57,9 @@ def sealed(body: bytes) -> bytes:
     return body + b',"sha256":"' + digest(body).encode() + b'"}\n'
 
 
+NO_LINES = b',"lines":"' + sha256().hexdigest().encode() + b'"'
+
+
 @pytest.mark.parametrize(
     "content",
     [
@@ -72,16 +77,16 @@ def sealed(body: bytes) -> bytes:
         b"[" * 200_000,
         b"\xff\xfe",
         sealed(b'{"version":2,"stamps":{}'),
-        sealed(b'{"version":3'),
-        sealed(b'{"version":3,"stamps":{}'),
-        sealed(b'{"version":3,"shapes":[],"texts":[],"stamps":[]'),
-        sealed(b'{"version":3,"shapes":[],"texts":[],"stamps":{"build":{"a":7}}'),
-        sealed(b'{"version":3,"shapes":[],"texts":[],"stamps":{"build":{"a":["x",0,[],"",""]}}'),
-        sealed(b'{"version":3,"shapes":[[[],[]]],"texts":[],"stamps":{"build":{"a":["x",0,[],"",""]}}'),
-        sealed(b'{"version":3,"shapes":[[[],[],[]]],"texts":[],"stamps":{"build":{"a":["x",0,["y"],"",""]}}'),
-        sealed(b'{"version":3,"shapes":[[[],[],[]]],"texts":[],"stamps":{"build":{"a":["x",0,[],0,""]}}'),
-        sealed(b'{"version":3,"shapes":[[[],[],[]]],"texts":7,"stamps":{"build":{"a":["x",0,[],"",""]}}'),
-        sealed(b'{"version":3,"stamps":' + b"[" * 200_000),
+        sealed(b'{"version":3,"shapes":[],"texts":[],"stamps":{}'),
+        sealed(b'{"version":4'),
+        sealed(b'{"version":4,"stages":{}'),
+        sealed(b'{"version":4,"stages":[]' + NO_LINES),
+        sealed(b'{"version":4,"stages":{"build":7}' + NO_LINES),
+        sealed(b'{"version":4,"stages":{"build":[7]}' + NO_LINES),
+        sealed(b'{"version":4,"stages":{"build":[[]]}' + NO_LINES),
+        sealed(b'{"version":4,"stages":{"build":[[[],[],[],[[],[],[]],7]]}' + NO_LINES),
+        sealed(b'{"version":4,"stages":{"build":[[[],[],[],[[],[],[]],["a"]]]}' + NO_LINES),
+        sealed(b'{"version":4,"stages":' + b"[" * 200_000),
         sealed(b"\xff\xfe"),
     ],
 )
@@ -90,11 +95,44 @@ def test_a_record_of_another_shape_is_an_empty_one(content: bytes) -> None:
 
 
 def test_what_stamps_have_in_common_is_written_once() -> None:
-    text = "what every stamp says " * 10
-    stamps = {f"p{n}": Stamp("x", {"a.xml": f"{n}", "claims": text}, (), "c", text, ("dds",)) for n in range(50)}
+    said, lasts = "what every stamp says " * 10, "the certificate of '{}' lasts " * 10
+    stamps = {
+        f"p{n}": Stamp("x", {"a.xml": f"{n}", "claims": said}, (), "c", lasts.format(*range(n, n + 10)), ("dds",))
+        for n in range(50)
+    }
     state = State().updated("prove", stamps)
-    assert state.dump().count(text.encode()) == state.dump().count(b"a.xml") == 1
-    assert load(state.dump()) == state
+    assert [state.dump().count(each) for each in (said.encode(), b"the certificate of", b"a.xml")] == [1, 10, 1]
+    assert load(state.dump()).stamps["prove"] == stamps
+
+
+@pytest.mark.parametrize("own", ["", "a'b", "a\tb", "a\nb", "2026-11-29T02:08:44+00:00", "\udcff", "漢字", "'", "''"])
+@pytest.mark.parametrize(
+    "text", ["{}", "'{}'", "a long text about '{}' and '{}' " * 5, "an apostrophe's " * 9 + "'{}'"]
+)
+def test_a_text_is_loaded_as_it_was_whatever_stands_between_quotes(own: str, text: str) -> None:
+    stamp = Stamp(text, {own: text.format(*[own] * 20)}, (), own, text.format(*[own] * 20))
+    content = State().updated("build", {own: stamp, "b": stamp}).dump()
+    assert load(content).stamps["build"] == {own: stamp, "b": stamp}
+    assert b"2026-11-29T" not in content.partition(b"\n")[2]  # dates are sought in the first line only
+
+
+def test_a_record_that_another_program_made_is_read_without_an_error() -> None:
+    def of(line: bytes, *form: object) -> bytes:
+        stages = {"build": [[*form, ["a"]]]}
+        return sealed_document({"version": VERSION, "lines": sha256(line).hexdigest(), "stages": stages}) + line
+
+    forms: list[tuple[object, ...]] = [
+        (["f"], [], [], [[], [], [], []]),
+        (["f"], [], [], [[], [], []]),
+        (["f"], [], [], [["x", "y", "z"], [], [], []]),
+        ([7], 7, [7], [[7], [], [], [7]]),
+        (["f"],),
+    ]
+    for line in (b"in\tcontext\tlifetimes\tvalue\n", b"in\n", b"\n", b"", b"\xff\n", b"a\nb\n"):
+        for form in forms:
+            for stamp in load(of(line, *form)).stamps.get("build", {}).values():
+                assert isinstance(stamp.inputs, str)
+    assert load(of(b"in\tc\tl\tv\n", *forms[0])).stamp("build", "a") == Stamp("in", {"f": "v"}, (), "c", "l")
 
 
 def test_no_record_is_an_empty_one() -> None:
