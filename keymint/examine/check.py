@@ -13,7 +13,7 @@ from dataclasses import field, replace
 from datetime import timedelta
 from functools import partial
 from itertools import chain
-from typing import Any
+from typing import Any, TypeVar
 
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
@@ -206,11 +206,14 @@ def _identity_key(session: Session, package: Package, keyring: Keyring) -> tuple
     return fingerprint, ()
 
 
-LEAST = 128
+LEAST = 64
 """Enclaves that are worth a part of their own."""
+_Beside = TypeVar("_Beside")
 
 
-def check(session: Session, names: Sequence[str], within: timedelta, pool: Pool) -> tuple[Diagnostic, ...]:
+def check(
+    session: Session, names: Sequence[str], within: timedelta, pool: Pool, beside: Callable[[], _Beside]
+) -> tuple[tuple[Diagnostic, ...], _Beside]:
     """Return all findings on the enclaves of some packages, and on their workspace.
 
     Args:
@@ -218,6 +221,7 @@ def check(session: Session, names: Sequence[str], within: timedelta, pool: Pool)
         names: names of packages.
         within: report what expires within this time.
         pool: where to examine many enclaves: processes of this machine, since they read private keys.
+        beside: what this process is to do besides; its result comes second.
     """
     of_authorities = tuple(authorities(session, within))
     keyring = Keyring(session)
@@ -228,8 +232,10 @@ def check(session: Session, names: Sequence[str], within: timedelta, pool: Pool)
         partial(map, lambda each: examine(session, each, keyring), part) for part in parts
     ]
     around = outside_enclaves(session, within), file_status(session), git_exposure(session), _deciding(session)
-    tasks.append(lambda: map(tuple, around))  # what is last this process does itself, if there are two
-    *rest, (outside, of_files, of_git, decides) = pool.map(lambda task: tuple(task()), tasks)
+    of_keys = elsewhere(session), encryption(session), exposed_keys(session)
+    # What is last this process does itself.
+    tasks.append(lambda: (*map(tuple, around), tuple(chain(*of_keys)), beside()))
+    *rest, (outside, of_files, of_git, decides, owned, more) = pool.map(lambda task: tuple(task()), tasks)
     enclaves = [*first, *chain.from_iterable(rest)]
     findings = [finding for _, _, of_enclave in enclaves for finding in of_enclave]
     seen = [each.seen for each in loaded if not each.is_absent]
@@ -240,7 +246,7 @@ def check(session: Session, names: Sequence[str], within: timedelta, pool: Pool)
     findings += (each for each in decides if each not in findings)  # the defects of packages are found above
     fingerprints = {name: fingerprint for name, fingerprint, _ in enclaves if fingerprint}
     findings += shared_keys(session, fingerprints)
-    findings += (*elsewhere(session), *encryption(session), *exposed_keys(session))
+    findings += owned
     findings += outside
     told = {(each.code, each.where) for each in of_authorities}  # e.g. that an authority has no certificate
     findings = [each for each in findings if (each.code, each.where) not in told]
@@ -248,7 +254,7 @@ def check(session: Session, names: Sequence[str], within: timedelta, pool: Pool)
         help_ = f"fix {defect.where} first"  # until then installing fails
         findings = [replace(each, help=help_) if _INSTALLS.search(each.help) else each for each in findings]
     found = (*of_authorities, *of_files, *of_git, *findings, *_of_second_keystore(session, names, within, pool))
-    return tuple(sorted(found, key=lambda each: each.code != UNFINISHED))  # it may be the cause of others
+    return tuple(sorted(found, key=lambda each: each.code != UNFINISHED)), more  # it may be the cause of others
 
 
 def _deciding(session: Session) -> Iterator[Diagnostic]:
@@ -269,7 +275,7 @@ def _of_second_keystore(
     if ahead is None:
         return ()
     ready = frozenset(installed_enclaves.with_sources(ahead))
-    found = check(ahead, [name for name in names if name in ready], within, pool)
+    found, _ = check(ahead, [name for name in names if name in ready], within, pool, tuple)
     return tuple(each for each in found if each.code not in _OF_RECORD)
 
 

@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 import gc
+import os
 import signal
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from keymint.errors import process_ended
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
-PARTS_FOR_EACH = 4
+PARTS_FOR_EACH = 8
 """Parts of the work for each process: a part that takes longer than the others delays the end less."""
 
 
@@ -42,7 +43,7 @@ class Pool:
         return divide(items, max(1, min(most, len(items) // max(1, least))))
 
     def map(self, work: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
-        """Yield the result of each task, in the order of the tasks.
+        """Yield the result of each task, in the order of the tasks. This process carries out the last one first.
 
         Raises:
             KeymintError: the work fails, or a process that carries it out is lost.
@@ -55,44 +56,56 @@ class Pool:
         from multiprocessing import get_context  # noqa: PLC0415 - few runs need it
 
         context, pipes = get_context("fork"), []
-        for number in range(count - 1):
+        left, given = os.pipe()  # numbers of tasks: whoever is ready takes the next one
+        os.write(given, b"".join(number.to_bytes(2, "big") for number in range(len(tasks) - 1)))
+        os.close(given)
+        for _ in range(count - 1):
             here, there = context.Pipe(duplex=False)
             # A forked process has the tasks already: they need not be sent to it.
-            context.Process(target=_answer, args=(there, work, tasks[number::count]), daemon=True).start()
+            context.Process(target=_answer, args=(there, work, tasks, left), daemon=True).start()
             there.close()
             pipes.append(here)
-        own = _results(work, tasks[count - 1 :: count])
+        found = _results(work, tasks, chain([len(tasks) - 1], _taken(left)))
+        os.close(left)
         try:
-            found: list[_Results] = [*(pipe.recv() for pipe in pipes), own]
+            for pipe in pipes:
+                found |= pipe.recv()
         except EOFError as lost:
             raise process_ended("executor-lost") from lost
-        for at in range(len(tasks)):
-            result, error = found[at % count][at // count]
+        for number in range(len(tasks)):  # what nobody took comes after one that failed
+            result, error = found[number]
             if error is not None:
                 raise error
             yield result
 
 
-_Results = list[tuple[Any, Exception | None]]
-"""Results of tasks, up to the first that failed."""
+_Results = dict[int, tuple[Any, Exception | None]]
+"""Results of tasks by number, up to the first that failed."""
 
 
-def _results(work: Callable[[Any], Any], tasks: Iterable[Any]) -> _Results:
-    found: _Results = []
-    for task in tasks:
+def _taken(left: int) -> Iterator[int]:
+    """Yield numbers of tasks that are left, as long as there are any."""
+    while number := os.read(left, 2):
+        yield int.from_bytes(number, "big")
+
+
+def _results(work: Callable[[Any], Any], tasks: Sequence[Any], numbers: Iterable[int]) -> _Results:
+    found: _Results = {}
+    for number in numbers:
         try:
-            found.append((work(task), None))
+            found[number] = work(tasks[number]), None
         except Exception as error:  # noqa: BLE001 - raised where the results come together
-            return [*found, (None, error)]
+            found[number] = None, error
+            break
     return found
 
 
-def _answer(pipe: Connection, work: Callable[[Any], Any], tasks: Iterable[Any]) -> None:
+def _answer(pipe: Connection, work: Callable[[Any], Any], tasks: Sequence[Any], left: int) -> None:
     """Carry out tasks in a process of its own; it is left to the one that the user started to end the run."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     gc.freeze()  # a search for cycles among the parent's objects would copy their pages
-    pipe.send(_results(work, tasks))
+    pipe.send(_results(work, tasks, _taken(left)))
 
 
 def divide(items: Sequence[Task], number: int) -> list[Sequence[Task]]:

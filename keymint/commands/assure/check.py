@@ -67,13 +67,18 @@ def check(
     """
     session = run.session(auditing=True)
     chosen = names.packages(run, session)
-    findings, state = list(find(session, chosen, within, run.pool)), session.state
-    if not no_prove:
-        known = {(each.code, each.where and each.where.file) for each in findings}
+
+    def prove() -> tuple[State, tuple[Diagnostic, ...]]:
+        if no_prove:
+            return session.state, ()
         effort = ProofEffort(run.setting.monotonic, standard_only=allow_vendor_specific)
         enclaves = with_enclaves(session, chosen, named=False)
-        state, found = _proven(session, enclaves, effort, run.pool, fresh=fresh, strict=strict)
-        findings += (each for each in found if (each.code, each.where and each.where.file) not in known)
+        return _proven(session, enclaves, effort, run.pool, fresh=fresh, strict=strict)
+
+    of_keystore, (state, of_proof) = find(session, chosen, within, run.pool, prove)
+    known = {(each.code, each.where and each.where.file) for each in of_keystore}
+    new = (each for each in of_proof if (each.code, each.where and each.where.file) not in known)
+    findings = [*of_keystore, *new]
     if any(each.code == "counterexample" for each in findings):
         findings += policy_changed(session)  # the cause, if it is that
     unexamined = tuple(not_examined(session))

@@ -23,7 +23,7 @@ def test_parts_together_are_all_items_in_order(items: list[int], number: int) ->
 
 
 @pytest.mark.parametrize(
-    ("size", "items", "least", "parts"), [(1, 100, 1, 1), (2, 100, 1, 8), (2, 100, 40, 2), (4, 3, 9, 1)]
+    ("size", "items", "least", "parts"), [(1, 100, 1, 1), (2, 100, 1, 16), (2, 100, 40, 2), (4, 3, 9, 1)]
 )
 def test_little_work_stays_in_one_part(size: int, items: int, least: int, parts: int) -> None:
     assert len(Pool(size).parts(range(items), least)) == parts
@@ -33,6 +33,7 @@ def run(code: str) -> subprocess.CompletedProcess[str]:
     """Run code in a process that may fork."""
     begin = "import os\nfrom keymint.host.pool import Pool\n"
     begin += "from keymint.errors import KeymintError\npool = Pool(2)\n"
+    begin += "here, (seen, tell) = os.getpid(), os.pipe()\n"  # with which the other process tells that it is there
     return subprocess.run(
         [sys.executable, "-c", begin + code], cwd=CHECKOUT, capture_output=True, text=True, check=False
     )
@@ -40,15 +41,34 @@ def run(code: str) -> subprocess.CompletedProcess[str]:
 
 def test_results_come_in_the_order_of_the_tasks_from_this_process_and_others() -> None:
     done = run("""
-import time
 def work(task):
-    time.sleep(0.2 if task == 0 else 0)
+    if os.getpid() != here:
+        os.write(tell, b"!")
+    elif task == 5:  # the first one here
+        os.read(seen, 1)
     return task, os.getpid()
 results = list(pool.map(work, range(6)))
 assert [task for task, _ in results] == [0, 1, 2, 3, 4, 5]
 processes = [process for _, process in results]
-assert processes[1::2] == [os.getpid()] * 3
+assert processes[-1] == here
 assert len(set(processes)) == 2
+""")
+    assert done.returncode == 0, done.stderr
+
+
+def test_whoever_is_ready_takes_the_next_task() -> None:
+    done = run("""
+def work(task):
+    if os.getpid() != here:
+        os.read(seen, 1)  # until all others are done
+    elif task == 599:
+        return here
+    elif len(done) == 597:
+        os.write(tell, b"!")
+    done.append(task)
+    return os.getpid()
+done = []
+assert list(pool.map(work, range(600))).count(here) >= 599
 """)
     assert done.returncode == 0, done.stderr
 
@@ -60,10 +80,12 @@ def test_one_task_is_done_in_this_process() -> None:
 
 def test_a_process_that_is_killed_ends_the_work_with_one_error() -> None:
     done = run("""
-here = os.getpid()
 def work(task):
     if os.getpid() != here:
+        os.write(tell, b"!")
         os.kill(os.getpid(), 9)
+    if task == 5:  # the first one here
+        os.read(seen, 1)
 try:
     list(pool.map(work, range(6)))
 except KeymintError as error:
