@@ -13,7 +13,7 @@ import operator
 import sys
 from collections.abc import Callable
 from dataclasses import MISSING, Field, field
-from functools import partial
+from functools import cache, partial
 from types import MemberDescriptorType
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -83,11 +83,38 @@ def _fields(cls: type) -> dict[str, Field[Any]]:
 
 
 def _known_fields(cls: type) -> dict[str, Field[Any]]:
-    """Return the fields as the library knows them: by it, and with their types."""
+    """Return the fields as the library knows them: by name, with their types, and with all that it notes about any."""
+    fields, types, library = _fields(cls), _declared(cls, 0), _library_field()
+    for name, each in fields.items():
+        for slot in Field.__slots__:
+            if slot != "default" and getattr(each, slot) is None:
+                setattr(each, slot, getattr(library, slot))
+        each.name, each.type, each.kw_only = name, types[name], False
+    return fields
+
+
+@cache
+def _library_field() -> Field[Any]:
+    """Return a field of a class that the library made."""
     # Without a text about the class the library makes one, which takes long.
-    body = {"__doc__": cls.__name__, "__annotations__": _declared(cls, 0), **_fields(cls)}
-    found: Any = dataclasses.dataclass(init=False, repr=False, eq=False)(type(cls.__name__, (), body))
-    return {each.name: each for each in dataclasses.fields(found)}
+    made = type("Made", (), {"__doc__": "made", "__annotations__": {"field": "int"}})
+    return dataclasses.fields(dataclasses.dataclass(init=False, repr=False, eq=False)(made))[0]
+
+
+def _given(cls: type) -> tuple[list[str], dict[str, Any], dict[str, Callable[[], Any]]]:
+    """Return the parameters of a class, the defaults of its fields, and what makes those that are made each time."""
+    parameters: list[str] = []
+    defaults: dict[str, Any] = {}
+    factories: dict[str, Callable[[], Any]] = {}
+    for name, each in _declared(cls).items():
+        is_described = isinstance(each, Field)
+        if not is_described or each.init:
+            parameters.append(name)
+        if is_described and each.default_factory is not MISSING:
+            factories[name] = each.default_factory
+        elif (default := each.default if is_described else each) is not MISSING:
+            defaults[name] = default
+    return parameters, defaults, factories
 
 
 def _first_init(cls: Any) -> Callable[..., None]:
@@ -95,17 +122,20 @@ def _first_init(cls: Any) -> Callable[..., None]:
 
     A run makes few objects of most classes, and generating a method costs as much as fifty of them.
     """
-    declared = _declared(cls)
-    described = {name: each for name, each in declared.items() if isinstance(each, Field)}
-    parameters = [name for name in declared if name not in described or described[name].init]
-    left = _FEW
+    parameters, defaults, factories = _given(cls)
+    known = frozenset(parameters)
+    all_names = known | defaults.keys() | factories.keys()
+    assign, has_post_init, left = object.__setattr__, hasattr(cls, "__post_init__"), _FEW
 
     def __init__(self: Any, /, *arguments: Any, **named: Any) -> None:  # noqa: N807
         nonlocal left
         left -= 1
-        given = dict(zip(parameters, arguments, strict=False)) | named
-        values = defaults | {name: new() for name, new in factories.items() if name not in given} | given
-        is_sound = len(given) == len(arguments) + len(named) and given.keys() <= known <= values.keys()
+        given = dict(zip(parameters, arguments, strict=False), **named) if arguments else named
+        values = defaults | given
+        for name, new in factories.items():
+            if name not in given:
+                values[name] = new()
+        is_sound = len(given) == len(arguments) + len(named) and given.keys() <= known and len(values) == len(all_names)
         if left < 0 or not is_sound:  # the generated method says what is wrong
             cls.__init__ = _init(cls)
             cls.__init__(self, *arguments, **named)
@@ -115,12 +145,6 @@ def _first_init(cls: Any) -> Callable[..., None]:
         if has_post_init:
             self.__post_init__()
 
-    known = frozenset(parameters)
-    defaults = declared | {name: each.default for name, each in described.items()}
-    defaults = {name: each for name, each in defaults.items() if each is not MISSING}
-    factories: dict[str, Any] = {name: each.default_factory for name, each in described.items()}
-    factories = {name: each for name, each in factories.items() if each is not MISSING}
-    assign, has_post_init = object.__setattr__, hasattr(cls, "__post_init__")
     return __init__
 
 

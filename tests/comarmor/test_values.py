@@ -71,6 +71,12 @@ def classes(dataclass: Any) -> dict[str, Any]:
     class Single:
         one: int
 
+    @dataclass(frozen=True, slots=True)
+    class Empty:
+        one: int
+        two: str | None = None
+        three: str | None = field(default=None, compare=False)
+
     class Calling(Frozen):
         def __init__(self, one: int) -> None:
             super().__init__(one, "called")
@@ -80,7 +86,7 @@ def classes(dataclass: Any) -> dict[str, Any]:
 
         __hash__ = Frozen.__hash__
 
-    return {each.__name__: each for each in (Frozen, Ordered, Below, Changing, Same, Own, Open, Single, Calling)}
+    return {each.__name__: each for each in (Frozen, Ordered, Below, Changing, Same, Own, Open, Single, Empty, Calling)}
 
 
 OURS, THEIRS = classes(values.dataclass), classes(dataclasses.dataclass)
