@@ -6,7 +6,6 @@ from __future__ import annotations
 import functools
 import os
 import re
-import shutil
 import signal
 import sys
 import time
@@ -234,8 +233,22 @@ def call_of(given: Sequence[str]) -> Call:
     named = [each for each in os.environ if each.startswith("KEYMINT_") and each.rpartition("_")[2] in _DEFAULTS]
     variables = tuple((name, os.environ[name]) for name in sorted(named))
     consulted = Consulted(os.environ)
-    width = shutil.get_terminal_size((0, 0)).columns or None  # COLUMNS, that of the terminal, or none
-    return Call(given, folder, colours, _now().timestamp(), time.time_ns(), consulted, width, variables, user_defaults)
+    return Call(
+        given, folder, colours, _now().timestamp(), time.time_ns(), consulted, _width(), variables, user_defaults
+    )
+
+
+def _width() -> int | None:
+    """Return COLUMNS, that of the terminal, or None, as :mod:`shutil` would, which loads compressions for archives."""
+    try:
+        if (columns := int(os.environ.get("COLUMNS", ""))) > 0:
+            return columns
+    except ValueError:
+        pass
+    try:
+        return os.get_terminal_size().columns or None
+    except OSError:
+        return None
 
 
 def _may_have_colours(stream: TextIO) -> bool:

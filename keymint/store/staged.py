@@ -14,11 +14,11 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import shutil
 import stat
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import field
-from typing import NoReturn
+from importlib import import_module
+from typing import Any, NoReturn
 
 from comarmor.values import dataclass
 from keymint.store import file_writing
@@ -267,7 +267,12 @@ def remove(folder: int, name: str) -> None:
     try:
         os.unlink(name, dir_fd=folder)
     except OSError:
-        shutil.rmtree(name, ignore_errors=True, dir_fd=folder)
+        rmtree(name, ignore_errors=True, dir_fd=folder)
+
+
+def rmtree(folder: str, **how: Any) -> None:
+    """Remove a folder with all in it, by :func:`shutil.rmtree`; few runs need that module."""
+    import_module("shutil").rmtree(folder, **how)
 
 
 # -- the replacement of a folder ---------------------------------------------------------------------------------------

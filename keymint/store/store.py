@@ -19,7 +19,6 @@ import contextlib
 import errno
 import fcntl
 import os
-import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -31,7 +30,7 @@ from keymint.store.file_writing import FILE, reported
 from keymint.store.group_commit import commit
 from keymint.store.journal import Journal
 from keymint.store.open_folders import OpenFolders, Roots
-from keymint.store.staged import Exchange, Staging, remove_staged
+from keymint.store.staged import Exchange, Staging, remove_staged, rmtree
 from keymint.view.file_reading import is_temporary
 from keymint.view.recorded_answers import FolderStatus
 from keymint.view.stamps import MAX_RECORD
@@ -241,7 +240,7 @@ class Store:
         for path in _temporary_paths(roots):
             with reported(path):
                 if os.path.isdir(path) and not os.path.islink(path):
-                    shutil.rmtree(path)
+                    rmtree(path)
                 else:
                     os.unlink(path)
         return found
