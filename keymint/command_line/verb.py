@@ -21,7 +21,6 @@ from typing import Any, cast
 
 import click
 from click.core import ParameterSource
-from click.shell_completion import CompletionItem
 
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
@@ -42,6 +41,10 @@ __all__ = [
 ]  # fmt: skip
 Verb = Callable[..., Report]
 """The function of a verb; ``inspect.unwrap`` finds it below the callback of its click command."""
+_Declared = tuple[
+    list[click.Parameter], "Mapping[str, OptionGroup]", list[tuple[click.Option, click.Option]], set[str | None]
+]
+"""All parameters of a verb, groups of options, options with their former names, and the names of the common ones."""
 PATH = click.Path(path_type=Path)
 FILE = click.Path(path_type=Path, dir_okay=False)
 _CHOSEN_BY_USERS = {"keymint.build_types", "keymint.transports"}
@@ -66,18 +69,25 @@ def verb(
         former: the names that options had in the release before, by the arguments of the function.
         common: which common options it has; see :func:`common_options`.
     """
-    shared = list(common_options(**common))
-    names = {"defaults", *(option.name for option in shared)}
 
     def decorate(function: Verb) -> click.Command:
         own_name = name or function.__name__.removeprefix(f"{of}_")
         said = f"{of} {own_name}".strip()
-        parameters, groups = parameters_of(function)
-        own: Mapping[Any, Any] = {each.name: each for each in parameters}
-        renamed = [(own[now], _former(own[now], names)) for now, names in former.items()]
+
+        @functools.cache  # a verb may import another one, whose options nobody asks for then
+        def declared() -> _Declared:
+            parameters, groups = parameters_of(function)
+            own: Mapping[Any, Any] = {each.name: each for each in parameters}
+            renamed = [(own[now], _former(own[now], names)) for now, names in former.items()]
+            shared = list(common_options(**common))
+            every = [*parameters, *shared, *(before for _, before in renamed)]
+            has_hidden = any(isinstance(each, click.Option) and each.hidden for each in every)
+            every.append(help_all(hidden=not has_hidden))
+            return every, groups, renamed, {"defaults", *(option.name for option in shared)}
 
         def command(context: click.Context, /, **options: Any) -> None:
             setting: Setting = context.find_root().obj()
+            _, groups, renamed, names = declared()
             defaults, problem = _defaults(context, setting, said)
             options |= defaults
             common = {key: options.pop(key) for key in list(options) if key in names}
@@ -100,11 +110,8 @@ def verb(
 
         functools.update_wrapper(command, function)
         command.__doc__ = option_texts(function)[0]
-        made = click.command(own_name, cls=VerbCommand)(click.pass_context(command))
-        made.params += [*parameters, *shared, *(before for _, before in renamed)]
-        has_hidden = any(isinstance(each, click.Option) and each.hidden for each in made.params)
-        made.params.append(help_all(hidden=not has_hidden))
-        return made
+        make = click.command(own_name, cls=VerbCommand, declared=lambda: declared()[0])
+        return make(click.pass_context(command))
 
     return decorate
 
@@ -194,10 +201,10 @@ class Word(click.types.StringParamType):
     def __init__(self, group: str = "") -> None:
         self.group = group
 
-    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        """Return what the shell offers."""
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
+        """Return what the shell offers, as items of :mod:`click.shell_completion`."""
         found = import_module("keymint.command_line.completion").values(ctx, param, incomplete)
-        return [CompletionItem(each) for each in found]
+        return [import_module("click.shell_completion").CompletionItem(each) for each in found]
 
 
 def require_known_plugins(context: click.Context, plugins: Plugins) -> None:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +55,22 @@ def foreign_words(group: str) -> Mapping[str, str]:
 
 
 class VerbCommand(click.Command):
-    """A verb, whose unknown options are those of other tools, or misspelt."""
+    """A verb, whose unknown options are those of other tools, or misspelt.
+
+    Args:
+        declared: makes its parameters, when they are first asked for.
+    """
+
+    def __init__(self, *arguments: Any, declared: Callable[[], list[click.Parameter]], **settings: Any) -> None:
+        super().__init__(*arguments, **settings)
+        self._declared = declared
+        del self.params  # the class above has set it
+
+    def __getattr__(self, name: str) -> Any:
+        if name != "params":
+            raise AttributeError(f"a verb has no attribute {name!r}")
+        self.params = self._declared()
+        return self.params
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the arguments; a wrong option is a usage error that never proposes to leave out a check."""
