@@ -6,6 +6,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from datetime import UTC
+from functools import lru_cache
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -142,17 +143,8 @@ class CommonParts(NamedTuple):
             signer: the issuer's private key.
         """
         serial = x509.random_serial_number()
-        body = der.tlv(
-            der.SEQUENCE,
-            self.version,
-            der.tlv(der.INTEGER, serial.to_bytes(serial.bit_length() // 8 + 1, "big")),
-            self.middle,
-            subject,
-            public,
-            self.before,
-            key_identifier(public),
-            self.after,
-        )
+        number = der.tlv(der.INTEGER, serial.to_bytes(serial.bit_length() // 8 + 1, "big"))
+        body = der.tlv(der.SEQUENCE, self.version, number, self._after_serial(subject, public))
         signature = keys.signature_over(body, signer, self.digest)
         return der.tlv(der.SEQUENCE, body, self.algorithm, der.tlv(der.BIT_STRING, b"\0", signature)), serial
 
@@ -169,19 +161,22 @@ class CommonParts(NamedTuple):
             ValueError: it has another structure.
         """
         body, algorithm, signature = der.elements(der.single(content, der.SEQUENCE))
-        version, serial, *middle, name, key, more = der.elements(der.single(body, der.SEQUENCE))
-        own = self.version, self.algorithm, self.middle, subject, public
+        fields, rest = der.single(body, der.SEQUENCE), self._after_serial(subject, public)
+        serial = fields.removeprefix(self.version).removesuffix(rest)
         number = int.from_bytes(der.single(serial, der.INTEGER), "big", signed=True)
         value = der.single(signature, der.BIT_STRING)
         return (
-            (version, algorithm, b"".join(middle), name, key) == own
-            and more == key_identifier(public).join((self.before, self.after))
+            (algorithm, fields) == (self.algorithm, b"".join((self.version, serial, rest)))
             and 0 < number < _MAX_SERIAL
             and value[0] == 0
             and keys.verifies(value[1:], body, issuer, self.digest)
         )
 
+    def _after_serial(self, subject: bytes, public: bytes) -> bytes:
+        return b"".join((self.middle, subject, public, self.before, key_identifier(public), self.after))
 
+
+@lru_cache(maxsize=1024)
 def key_identifier(public: bytes) -> bytes:
     """Return the identifier that a key has by default: the SHA-1 of its bits (RFC 5280, 4.2.1.2).
 

@@ -77,18 +77,29 @@ def sign(text: bytes, certificate: x509.Certificate, key: PrivateKey) -> bytes:
     It has what the library writes, but for the time, which it takes from the clock and nobody judges. The library's own
     signatures take four times as long, and the package ``email``.
     """
-    digest = _DIGESTS["sha256"]
-    content, named = identity_of(certificate)
-    hashed = der.tlv(der.OCTET_STRING, hashlib.sha256(text).digest())
-    pairs = (_CONTENT_TYPE, _DATA), (_MESSAGE_DIGEST, hashed)  # sorted by their encoding, as a SET of DER is
-    attributes = b"".join(der.tlv(der.SEQUENCE, kind, der.tlv(der.SET, each)) for kind, each in pairs)
-    value = signature_over(der.tlv(der.SET, attributes), key, digest.algorithm)
+    before, head, attributes = _common_parts(certificate)
+    hashed, digest = hashlib.sha256(text).digest(), _DIGESTS["sha256"]
+    value = signature_over(der.tlv(der.SET, attributes, hashed), key, digest.algorithm)
     algorithm = digest.with_ecdsa[1] if isinstance(key, ec.EllipticCurvePrivateKey) else _RSA[0]
-    head = _VERSION_1, named, digest.encodings[0], der.tlv(der.CONTEXT_0, attributes)
-    signer = der.tlv(der.SEQUENCE, *head, algorithm, der.tlv(der.OCTET_STRING, value))
-    body = der.tlv(der.SET, digest.encodings[0]), der.tlv(der.SEQUENCE, _DATA), der.tlv(der.CONTEXT_0, content)
-    signed = der.tlv(der.SEQUENCE, _VERSION_1, *body, der.tlv(der.SET, signer))
+    own = der.tlv(der.CONTEXT_0, attributes, hashed), algorithm, der.tlv(der.OCTET_STRING, value)
+    signed = der.tlv(der.SEQUENCE, before, der.tlv(der.SET, der.tlv(der.SEQUENCE, head, *own)))
     return der.tlv(der.SEQUENCE, _SIGNED_DATA, der.tlv(der.CONTEXT_0, signed))
+
+
+@functools.lru_cache(maxsize=16)
+def _common_parts(certificate: x509.Certificate) -> tuple[bytes, bytes, bytes]:
+    """Return what all signatures with a certificate have before the signer, in it, and in its attributes, in DER.
+
+    The digest of the text comes after the last.
+    """
+    content, named = identity_of(certificate)
+    digest, unknown = _DIGESTS["sha256"], bytes(hashlib.sha256().digest_size)
+    body = der.tlv(der.SET, digest.encodings[0]), der.tlv(der.SEQUENCE, _DATA), der.tlv(der.CONTEXT_0, content)
+    # Sorted by their encoding, as a SET of DER is.
+    pairs = (_CONTENT_TYPE, _DATA), (_MESSAGE_DIGEST, der.tlv(der.OCTET_STRING, unknown))
+    attributes = b"".join(der.tlv(der.SEQUENCE, kind, der.tlv(der.SET, each)) for kind, each in pairs)
+    before, head = (_VERSION_1, *body), (_VERSION_1, named, digest.encodings[0])
+    return b"".join(before), b"".join(head), attributes.removesuffix(unknown)
 
 
 def parse(signature: bytes) -> Signature:

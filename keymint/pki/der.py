@@ -7,7 +7,7 @@ strict: it refuses every encoding but the canonical one, so that an altered byte
 
 from __future__ import annotations
 
-import base64
+from binascii import b2a_base64
 
 from cryptography import x509
 
@@ -41,8 +41,8 @@ def tlv(tag: int, *parts: bytes) -> bytes:
 
 def base64_lines(content: bytes) -> bytes:
     """Return the base64 of a content in lines of :data:`BASE64_LINE` characters, each with a line feed."""
-    text = base64.b64encode(content)
-    return b"".join([text[start : start + BASE64_LINE] + b"\n" for start in range(0, len(text), BASE64_LINE)])
+    size = BASE64_LINE // 4 * 3
+    return b"".join([b2a_base64(content[start : start + size]) for start in range(0, len(content), size)])
 
 
 def oid(dotted: str) -> bytes:

@@ -42,6 +42,7 @@ import base64
 import functools
 import hashlib
 import re
+from binascii import a2b_base64
 from collections.abc import Iterable, Sequence
 from dataclasses import field
 from datetime import datetime
@@ -356,7 +357,7 @@ def _written(document: bytes) -> SignedDocument | None:
         return None
     text, encoded, end = parts
     try:
-        signature = base64.b64decode(encoded[len(before) :])
+        signature = a2b_base64(encoded[len(before) :])
     except ValueError:
         return None
     is_exact = encoded == b"%b%b\n" % (before, der.base64_lines(signature)) and end.rstrip(b"\n") == b"--"

@@ -22,6 +22,7 @@ import stat
 import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
+from functools import lru_cache
 from itertools import takewhile
 from operator import attrgetter
 from typing import Any, NamedTuple
@@ -464,6 +465,11 @@ def folder_status(
     return FolderStatus(_digest([owner, *map(files.__getitem__, names)]), newest, names, tuple(sorted(folders)))
 
 
+@lru_cache(maxsize=16)
+def _with_slashes(folders: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(f"{folder}/" for folder in folders)
+
+
 class Sight(NamedTuple):
     """The folders of a workspace as they are before a run reads a file.
 
@@ -537,7 +543,7 @@ class Sight(NamedTuple):
         return Sight(self.roots, folders, clock)
 
     def _has(self, folder: str) -> bool:
-        return f"{folder}/".startswith(tuple(f"{root}/" for root in self.roots))
+        return f"{folder}/".startswith(_with_slashes(self.roots))
 
     def _above(self, folders: Iterable[str]) -> set[str]:
         """Return the folders above some: their times change as names in them do."""

@@ -24,6 +24,7 @@ MAX_RECORD = 1 << 30
 VERSION = 4
 _DIGEST = 64
 """Characters of a digest; what longer texts have in common is written once."""
+_SIZES = [size.to_bytes(8, "big") for size in range(_DIGEST + 1)]
 _AT_ONCE = 256
 """Lines that are hashed together."""
 _SEAL, _END = b',"sha256":"', b'"}\n'
@@ -35,7 +36,8 @@ def digest(*parts: bytes | memoryview | str) -> str:
     pieces: list[bytes | memoryview] = []
     for part in parts:
         data = part.encode("utf-8", "surrogatepass") if isinstance(part, str) else part  # any name on disk
-        pieces += (len(data).to_bytes(8, "big"), data)
+        size = len(data)
+        pieces += (_SIZES[size] if size <= _DIGEST else size.to_bytes(8, "big"), data)
     if len(parts) > 1:
         return hashlib.sha256(b"".join(pieces)).hexdigest()
     hashed = hashlib.sha256()

@@ -117,9 +117,10 @@ def _most_saved(rules: Iterable[GrantRule[str]]) -> int:
         emptied += _RULE
         for texts in rule.topics.values():
             emptied += _CRITERIA
-            lengths = [_TOPIC + len(text) for text in texts]
-            names += sum(lengths)
-            kept += sum(set(lengths))
+            lengths = tuple(map(len, texts))
+            others = {*lengths}
+            names += sum(lengths) + _TOPIC * len(lengths)
+            kept += sum(others) + _TOPIC * len(others)
     return min(names, names - kept + emptied) - 2 * (_RULE + _CRITERIA)
 
 

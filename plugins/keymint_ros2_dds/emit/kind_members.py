@@ -123,8 +123,10 @@ class Structure:
         first: dict[str, int] = {}
         equal = tuple(first.setdefault(name, index) for index, name in enumerate(names))
         if not self.own:
-            match = self._any.fullmatch
-            return names, (equal, tuple(self._matches(name) if match(name) else 0 for name in names), b"")
+            match, found = self._any.fullmatch, tuple[int, ...]()
+            if self.wildcards:
+                found = tuple(self._matches(name) if match(name) else 0 for name in names)
+            return names, (equal, found, b"")
         matches = (
             sum(1 << bit for bit, name in enumerate(names) if name.startswith(head) and name.endswith(tail, len(head)))
             for head, tail in ends
