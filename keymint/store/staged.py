@@ -182,8 +182,11 @@ class Staging:
                 old = os.open(name, FOLDER, dir_fd=opened)
             except FileNotFoundError:
                 if written := inner.size():
+                    place = f"{shown}/{name}"
                     with self._staging(opened, Exchange(inner.order, shown, name, temporary(), size=written)) as staged:
-                        add(opened, staged, f"{shown}/{name}", inner, self._seen)
+                        add(opened, staged, place, inner, self._seen)
+                    if inner.files:  # it gets another time with its name
+                        self._seen.pop(place, None)
                 continue
             except OSError as error:
                 file_writing.refuse(f"{shown}/{name}", error)
@@ -346,24 +349,20 @@ def _add_folders(
     """Create the new subfolders of a staged folder."""
     for name, inner in content.folders.items():
         if inner.writes() and name not in staged:
-            place = f"{shown}/{name}"
-            status = add(parent, name, place, inner, seen)
-            # Its times stay when a folder around it is renamed; another process may add a folder to one with folders.
-            if status is not None and seen is not None and not status.folders:
-                seen[place] = status
+            add(parent, name, f"{shown}/{name}", inner, seen)
 
 
 def add(
     parent: int, name: str, shown: str, content: FolderContent, seen: dict[str, FolderStatus] | None = None
-) -> FolderStatus | None:
-    """Create a new folder, and return its status; None if it has links.
+) -> None:
+    """Create a new folder.
 
     Args:
         parent: the open folder in which to create it.
         name: its name.
         shown: the path that it will have.
         content: its files and folders.
-        seen: receives the status of each folder below it.
+        seen: receives the status of it and of each folder below it that has either files or folders, and no links.
 
     Raises:
         KeymintError: the system refuses. The caller must remove what was created so far.
@@ -376,7 +375,9 @@ def add(
             files = {inner: file_writing.create(new, shown, inner, file) for inner, file in content.files.items()}
             if content.folders:
                 _add_folders(new, shown, content, (), seen)
-            return new_status(file_writing.with_mode(new, mode), files, content.folders)
+            status = new_status(file_writing.with_mode(new, mode), files, content.folders)
+            if status is not None and seen is not None and not (files and content.folders):
+                seen[shown] = status
         finally:
             os.close(new)
 

@@ -22,7 +22,6 @@ import stat
 import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
-from functools import lru_cache
 from itertools import takewhile
 from operator import attrgetter
 from typing import Any, NamedTuple
@@ -465,11 +464,6 @@ def folder_status(
     return FolderStatus(_digest([owner, *map(files.__getitem__, names)]), newest, names, tuple(sorted(folders)))
 
 
-@lru_cache(maxsize=16)
-def _with_slashes(folders: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(f"{folder}/" for folder in folders)
-
-
 class Sight(NamedTuple):
     """The folders of a workspace as they are before a run reads a file.
 
@@ -526,13 +520,19 @@ class Sight(NamedTuple):
             if folder not in seen or seen[folder].files != tuple(sorted(new)):
                 written.setdefault(folder, set()).update(new)
                 removed.setdefault(folder, set()).update(gone)
-        own = {folder: status for folder, status in seen.items() if folder not in written and self._has(folder)}
+        inside = tuple(f"{root}/" for root in self.roots)
+        made = {folder: status for folder, status in seen.items() if folder not in written}
+        own = {folder: each for folder, each in made.items() if not each.folders and folder.startswith(inside)}
         if not all(status.is_trusted(clock) for status in own.values()):
             return None
         folders = {**self.folders, **own}
-        for folder in filter(self._has, {*written, *self._above((*written, *own))} - own.keys()):
+        inner: list[str] = []
+        for folder in {*written, *_above((*written, *own), inside)} - own.keys():
+            if not f"{folder}/".startswith(inside):
+                continue
             before, new = self.folders.get(folder), written.get(folder, set())
-            present = folder_status(folder, new, self.clock, visible)
+            present = _of_folders(folder, made.get(folder), visible)
+            present = present or folder_status(folder, new, self.clock, visible)
             if present is None:
                 folders.pop(folder, None)
                 continue
@@ -540,17 +540,29 @@ class Sight(NamedTuple):
             if {*present.files} != kept | new or not present.is_trusted(clock):
                 return None
             folders[folder] = present
-        return Sight(self.roots, folders, clock)
+            inner += [f"{folder}/{name}" for name in present.folders if name != _SKIPPED]
+        return Sight(self.roots, folders, clock) if folders.keys() >= set(inner) else None
 
-    def _has(self, folder: str) -> bool:
-        return f"{folder}/".startswith(_with_slashes(self.roots))
 
-    def _above(self, folders: Iterable[str]) -> set[str]:
-        """Return the folders above some: their times change as names in them do."""
-        above: set[str] = set()
-        for each in folders:
-            folder = each.rpartition("/")[0]
-            while self._has(folder) and folder not in above:
-                above.add(folder)
-                folder = folder.rpartition("/")[0]
-        return above
+def _of_folders(folder: str, made: FolderStatus | None, visible: int) -> FolderStatus | None:
+    """Return the status of a folder that the run made, if it has only folders, and the same since it is visible."""
+    if made is None or made.files:
+        return None
+    try:
+        own = os.stat(folder)  # noqa: PTH116 - of texts, because there are many
+    except OSError:
+        return None
+    if own.st_mtime_ns >= visible:  # another process may add a folder
+        return None
+    return FolderStatus(_digest([_STATUS(own)]), max(own.st_mtime_ns, own.st_ctime_ns), (), made.folders)
+
+
+def _above(folders: Iterable[str], inside: tuple[str, ...]) -> set[str]:
+    """Return the folders above some: their times change as names in them do."""
+    above: set[str] = set()
+    for each in folders:
+        folder = each.rpartition("/")[0]
+        while folder not in above and f"{folder}/".startswith(inside):
+            above.add(folder)
+            folder = folder.rpartition("/")[0]
+    return above

@@ -688,6 +688,8 @@ def test_the_status_of_a_new_folder_is_known_as_it_was_staged(store: Store, root
     changes.append(FolderChange(root / "new/linked", {"link": File(b"", link="a")}))
     changes.append(FolderChange(root / "top", {"a": PUBLIC}))
     store.commit(store.stage(changes))
-    assert store.seen == {str(root / folder): folder_status(str(root / folder)) for folder in new}
+    found = {each: status for each, status in store.seen.items() if status.files}
+    assert found == {str(root / folder): folder_status(str(root / folder)) for folder in new}
+    assert store.seen[str(root / "new")].folders == ("inner", "linked", "other")
     (root / "new/inner/a").write_bytes(b"PUBLIC")
     assert folder_status(str(root / "new/inner")) != store.seen[str(root / "new/inner")]

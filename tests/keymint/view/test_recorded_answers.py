@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
@@ -126,18 +126,25 @@ def now(folder: Path) -> int:
     return (folder.parents[1] / "lock").stat().st_ctime_ns
 
 
-def after(folder: Path, during: Callable[[], object], written: str = "", late: Callable[[], object] = int) -> object:
+def after(
+    folder: Path,
+    during: Callable[[], object],
+    written: str = "",
+    late: Callable[[], object] = int,
+    made: Sequence[str] = (),
+) -> object:
     """Look, let something happen, write a file beside, let something happen, and return what is there then."""
     before = Sight.of([str(folder.parent)], now(folder))
     during()
     if written:
         new = folder.parent / written
-        new.parent.mkdir(exist_ok=True)
+        new.parent.mkdir(parents=True, exist_ok=True)
         new.write_bytes(b"made")
+    status = {str(folder.parent / each): folder_status(str(folder.parent / each)) for each in made}
     visible = now(folder)
     late()
     names = [(str(new.parent), {new.name}, ())] if written else []
-    seen = before.after(names, visible, now(folder), {})
+    seen = before.after(names, visible, now(folder), {path: each for path, each in status.items() if each})
     assert seen is None or dict(seen.folders) == walk([str(folder.parent)])
     return seen
 
@@ -162,8 +169,9 @@ def test_what_a_run_removes_is_gone(a: Path) -> None:
         lambda folder: (folder / "file").write_bytes(b"CONTENT"),
         lambda folder: (folder / "new").write_bytes(b""),
         lambda folder: (folder / "file").unlink(),
+        lambda folder: (folder / "new").mkdir(),
     ],
-    ids=["edits", "adds", "removes"],
+    ids=["edits", "adds", "removes", "adds a folder"],
 )
 def test_what_another_program_does_beside_what_a_run_writes_is_in_doubt(
     a: Path, touch: Callable[[Path], object]
@@ -173,6 +181,24 @@ def test_what_another_program_does_beside_what_a_run_writes_is_in_doubt(
 
 def test_what_another_program_does_to_a_new_file_is_in_doubt(a: Path) -> None:
     assert after(a, int, "b/made", lambda: (a.parent / "b/made").write_bytes(b"MADE")) is None
+
+
+@pytest.mark.parametrize("made", [(), ("b", "b/c")])
+@pytest.mark.parametrize(
+    ("late", "is_known"),
+    [
+        (lambda _: None, True),
+        (lambda folder: (folder / "new").mkdir(), False),
+        (lambda folder: (folder / "new").write_bytes(b""), False),
+        (lambda folder: (folder / "c").rename(folder / "new"), False),
+    ],
+    ids=["nothing", "adds a folder", "adds a file", "renames a folder"],
+)
+def test_what_another_program_does_in_a_new_folder_of_folders_is_in_doubt(
+    a: Path, made: Sequence[str], late: Callable[[Path], object], is_known: bool
+) -> None:
+    seen = after(a, int, "b/c/made", lambda: late(a.parent / "b"), made)
+    assert (seen is not None) == is_known
 
 
 def test_a_folder_that_is_as_new_as_the_clock_is_in_doubt(a: Path) -> None:
