@@ -115,7 +115,7 @@ def _prepared(name: str, folder: Path, keymint: Keymint) -> Prepared:
 
 
 def chosen(points: Sequence[Point], most: int, first: int = 0) -> list[Point]:
-    """Return the calls to disturb: for each kind of call, some spread over the run.
+    """Return the calls to disturb: for each kind of call, some spread over the run; also the last one that is visible.
 
     Args:
         points: all calls.
@@ -129,7 +129,7 @@ def chosen(points: Sequence[Point], most: int, first: int = 0) -> list[Point]:
         of_kind = [point for point in points if point.call == call]
         limit = most if call in CRITICAL else max(1, most // 4)
         step = max(1, -(-len(of_kind) // limit))
-        kept += [*of_kind[first % step :: step], of_kind[-1]]
+        kept += [*of_kind[first % step :: step], *(of_kind[-1:] if call in CRITICAL else ())]
     return sorted(set(kept), key=points.index)
 
 

@@ -210,12 +210,12 @@ def temporary(folder: Path) -> list[str]:
 
 
 def sample(points: Sequence[Point], most: int, first: int) -> Sequence[Point]:
-    """Return the calls to strike: of those that change visible names, and of half as many others, some in rotation."""
+    """Return the calls to strike, in rotation: so many that change visible names, and half as many others."""
     if FULL:
         return points
     visible = [point for point in points if point.call in CRITICAL]
     others = [point for point in points if point.call not in CRITICAL]
-    parts = ((part, max(1, len(part) // number)) for part, number in ((visible, most), (others, most // 2)))
+    parts = ((part, max(1, -(-len(part) // number))) for part, number in ((visible, most), (others, most // 2)))
     return [point for part, step in parts for point in part[first % step :: step]]
 
 
