@@ -3,13 +3,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+import functools
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 from comarmor.errors import ComArmorError, Defects, Diagnostic, Origin
 from comarmor.language.parse import parse
 from comarmor.language.policy import Policy
+from comarmor.language.policy_files import PolicyFiles
 from comarmor.language.source import TESTS, load_tree, read_document
 from comarmor.patterns.expression import parse as parse_expression
 from comarmor.rules import Expectation
@@ -19,6 +22,11 @@ from comarmor.xml.reader import LIMITS, XINCLUDE, line
 from comarmor.xml.reader import parse as parse_xml
 from comarmor.xml.sandboxed_paths import file_errors
 
+if TYPE_CHECKING:
+    from comarmor.language.alike_profiles import ShortDocument
+
+_MANY = 3
+"""Profiles in a file, from which on it is shortened."""
 _ATTRIBUTES = ("subject", "permission", "object", "partition", "kind")
 """Those of the elements in a policy test."""
 
@@ -69,7 +77,7 @@ def load_all(
     policies: list[Policy] = []
     for path in paths:
         with defects:
-            policies.append(parse(load_tree(Path(path), folder, library_shown, packages=packages)))
+            policies.append(_loaded(functools.partial(load_tree, Path(path), folder, library_shown, packages=packages)))
     defects.require_none()
     if len(policies) == 1:
         return policies[0]  # indexing its profiles again takes time
@@ -78,6 +86,26 @@ def load_all(
     unused = tuple(tunable for policy in policies for tunable in policy.unused_tunables)
     shipped = {(each.package, each.path): each for policy in reversed(policies) for each in reversed(policy.shipped)}
     return Policy(profiles, MappingProxyType(seen), unused, tuple(reversed(shipped.values())))
+
+
+def _loaded(read: Callable[..., PolicyFiles]) -> Policy:
+    """Load a policy; as a whole if its short form has defects, to find all of them."""
+    short: list[ShortDocument | None] = []
+
+    def shorten(content: bytes) -> ShortDocument | None:
+        if content.count(b"</profile>") < _MANY:
+            return None
+        from comarmor.language.alike_profiles import short_form  # noqa: PLC0415 - small policies do without
+
+        short.append(short_form(content))
+        return short[-1]
+
+    try:
+        return parse(read(shorten=shorten))
+    except ComArmorError:
+        if not any(short):
+            raise
+    return parse(read())
 
 
 def load_included(href: str, name: str, library: Path, library_shown: Path | None = None) -> Policy:

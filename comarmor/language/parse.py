@@ -14,15 +14,13 @@ from comarmor.language.attachments import parse as parse_attachment
 from comarmor.language.policy import Policy
 from comarmor.language.policy_files import PolicyFile, PolicyFiles
 from comarmor.language.source import INCLUDE
-from comarmor.language.syntax import Attachment, Inclusion, Profile, ProfileRule
+from comarmor.language.syntax import Attachment, Inclusion, Profile, ProfileRule, expected_of_subject, unique
 from comarmor.patterns.expression import literal
-from comarmor.rules import PERMISSIONS, Effect, is_subject
+from comarmor.rules import PERMISSIONS, Effect
 from comarmor.text import quote
 from comarmor.values import dataclass
 from comarmor.xml import schema
 
-_LONGEST_NAME = 1024
-_LONGEST_SEGMENT = 255
 _DEEPEST = 64
 _MOST_DIAGNOSTICS = 100
 
@@ -82,7 +80,7 @@ class _PolicyParser:
         scope = TunableScope(self.budget)
         item = _PlacedElement(document.root, document, ())
         if document.root.tag == "profiles":
-            return self.profiles(item, scope)
+            return self.completed(self.profiles(item, scope), document)
         if document.root.tag == "profile":
             return tuple(self.profile(item, scope, audit=False, depth=1))
         self.refuse(
@@ -92,6 +90,19 @@ class _PolicyParser:
             "move a file that is only included into a sub-folder of the policy's folder",
         )
         return ()
+
+    def completed(self, profiles: tuple[Profile, ...], document: PolicyFile) -> tuple[Profile, ...]:
+        """Return the profiles of a document, of whose short form, if it has one, these are.
+
+        Raises:
+            ComArmorError: the document must be read as a whole.
+        """
+        if document.short is None:
+            return profiles
+        every = document.short.completed(profiles, self.budget)
+        if document.inclusions or self.budget.used > MOST_EXPANDED_CHARACTERS:
+            raise ComArmorError("inclusions or characters must be counted one by one")
+        return every
 
     def children(self, item: _PlacedElement, *, audit: bool | None = None) -> Iterator[_PlacedElement]:
         """Yield the child elements of an element, with includes replaced by the included elements.
@@ -195,7 +206,7 @@ class _PolicyParser:
             else:
                 parts.append(self.rule(child, scope, audit=audit))
         name = item.element.get("name", "")
-        yield Profile(name, audit, _unique(attachments), tuple(inner), tuple(parts), item.where)
+        yield Profile(name, audit, unique(attachments), tuple(inner), tuple(parts), item.where)
 
     def tunable(self, item: _PlacedElement, scope: TunableScope) -> None:
         """Declare a tunable."""
@@ -216,11 +227,9 @@ class _PolicyParser:
                     "use a tunable @{…}, or a wildcard",
                 )
                 continue
-            name = literal(expression.text)
-            if name is not None and (expected := expected_of_name(name)):
-                self.refuse(
-                    f"{quote(name)} is not a legal name of a subject", expression.where, "subject-name", expected
-                )
+            if expected := expected_of_subject(expression.text):
+                name = quote(literal(expression.text) or "")
+                self.refuse(f"{name} is not a legal name of a subject", expression.where, "subject-name", expected)
             yield expression
 
     def attachments(self, own: etree._Element, item: _PlacedElement, scope: TunableScope) -> Iterator[Attachment]:
@@ -253,7 +262,7 @@ class _PolicyParser:
         kind, effect = str(item.element.tag), Effect(item.element.get("qualifier", ""))
         permissions = tuple(permission for permission in PERMISSIONS[kind] if permission in granted)
         audit = audit or item.element.get("modifier") == "AUDIT"
-        return ProfileRule(effect, kind, permissions, _unique(attachments), partitions, audit, item.where)
+        return ProfileRule(effect, kind, permissions, unique(attachments), partitions, audit, item.where)
 
     def partitions(self, element: etree._Element, item: _PlacedElement) -> tuple[str, ...]:
         """Return the expressions of a ``<partitions>`` element; tunables and placeholders are not allowed."""
@@ -299,20 +308,3 @@ def parse(sources: PolicyFiles) -> Policy:
     budget = parser.budget
     unused = tuple(each for key, each in budget.tunables.items() if key not in budget.used_tunables)
     return Policy(profiles, sources.seen, unused, sources.shipped)
-
-
-def _unique(expressions: list[Attachment]) -> tuple[Attachment, ...]:
-    """Return attachments without duplicate texts."""
-    first: dict[str, Attachment] = {}
-    for expression in expressions:
-        first.setdefault(expression.text, expression)
-    return tuple(first.values())
-
-
-def expected_of_name(name: str) -> str:
-    """Return what a subject's name violates of the form of enclaves' names, which become paths; empty if legal."""
-    if len(name) > _LONGEST_NAME or max(map(len, name.split("/"))) > _LONGEST_SEGMENT:
-        return f"at most {_LONGEST_NAME} characters, and {_LONGEST_SEGMENT} between two '/'"
-    if is_subject(name):
-        return ""
-    return "expected '/' and segments of letters, digits and '_' that do not begin with a digit, e.g. /robot1/talker"

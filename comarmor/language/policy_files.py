@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from lxml import etree
 
@@ -14,6 +15,9 @@ from comarmor.text import did_you_mean, quote
 from comarmor.values import dataclass
 from comarmor.xml.package_folders import ShippedFile
 from comarmor.xml.reader import line, place
+
+if TYPE_CHECKING:
+    from comarmor.language.alike_profiles import ShortDocument
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +79,7 @@ class PolicyFile:
             with anything else includes it without reading or copying it.
         package: name of the package that ships it; empty for a file of the policy's owner.
         climbs: number of folders above its own that the paths of its includes, nested ones included, lead through.
+        short: what the root was parsed from, if profiles were taken out.
     """
 
     name: str
@@ -86,6 +91,7 @@ class PolicyFile:
     uniform: bool
     package: str = ""
     climbs: int = 0
+    short: ShortDocument | None = None
 
     def place(self, element: etree._Element, chain: tuple[Origin, ...] = ()) -> Origin:
         """Return the place of an element of it, with the places that include the file, innermost first."""

@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import hashlib
 import posixpath
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import field, replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 from lxml import etree
 
@@ -25,6 +26,9 @@ from comarmor.values import dataclass
 from comarmor.xml.package_folders import PackageFolders, ShippedFile
 from comarmor.xml.reader import LIMITS, XINCLUDE, Limits, parse, place
 from comarmor.xml.sandboxed_paths import SandboxedFolder, checked_path, file_errors, package_path, path_of, path_text
+
+if TYPE_CHECKING:
+    from comarmor.language.alike_profiles import ShortDocument
 
 INCLUDE = f"{{{XINCLUDE}}}include"
 TESTS = ".test.xml"
@@ -40,6 +44,7 @@ def load_tree(
     packages: PackageFolders | None = None,
     limits: Limits = LIMITS,
     form: IncludeFormat = _COMARMOR,
+    shorten: Callable[[bytes], ShortDocument | None] = lambda _content: None,
 ) -> PolicyFiles:
     """Read a policy: a file, or the ``*.xml`` files directly in a directory, in sorted order.
 
@@ -50,6 +55,7 @@ def load_tree(
         packages: where packages are that ship files; without it the policy may include none of theirs.
         limits: limits of files and includes.
         form: the form of includes.
+        shorten: returns the short form of a root file, or None to read it as a whole.
 
     Raises:
         ComArmorError: something is missing, outside, too large or not well-formed, with ``file:line``.
@@ -70,7 +76,7 @@ def load_tree(
     fallback = (
         SandboxedFolder(library.resolve(), str(library_shown or library)) if library and library.is_dir() else None
     )
-    reader = _PolicyReader(folder, fallback, limits, packages, form)
+    reader = _PolicyReader(folder, fallback, limits, packages, form, shorten)
     if path.is_dir():
         reader.seen[Path(folder.shown)] = _names_fingerprint(roots)
     documents: list[PolicyFile] = []
@@ -148,6 +154,7 @@ class _PolicyReader:
         limits: limits.
         packages: where packages are that ship files.
         form: the form of includes.
+        shorten: see :func:`load_tree`.
         files: digests of the files.
         seen: fingerprints of the paths that were looked at.
         shipped: files of packages by package and path.
@@ -165,6 +172,7 @@ class _PolicyReader:
     limits: Limits
     packages: PackageFolders | None = None
     form: IncludeFormat = _COMARMOR
+    shorten: Callable[[bytes], ShortDocument | None] = lambda _content: None
     files: dict[Path, bytes] = field(default_factory=dict)
     seen: dict[Path, bytes] = field(default_factory=dict)
     shipped: dict[tuple[str, str], ShippedFile] = field(default_factory=dict)
@@ -218,9 +226,11 @@ class _PolicyReader:
         self.seen[folder.place(relative)] = self.files[real]
         if folder.package:
             self.shipped[key] = ShippedFile(folder.package, relative, content, where)
-        root = parse(content, folder.name(relative), limits=self.limits, chain=chain)
+        short = None if chain else self.shorten(content)
+        root = parse(short.content if short else content, folder.name(relative), limits=self.limits, chain=chain)
         self.open.append(real)
         document = self.complete(content, root, folder, relative, chain)
+        document = replace(document, short=short, nodes=content.count(b"<") if short else document.nodes)
         self.done[key] = named, document
         self.open.pop()
         return document

@@ -7,8 +7,12 @@ from collections.abc import Iterable, Iterator
 
 from comarmor.errors import Origin, Reason
 from comarmor.language.attachments import Placeholder, Value, for_parts
-from comarmor.rules import Effect, Rule
+from comarmor.patterns.expression import literal
+from comarmor.rules import Effect, Rule, is_subject
 from comarmor.values import dataclass
+
+_LONGEST_NAME = 1024
+_LONGEST_SEGMENT = 255
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +107,30 @@ class Inclusion:
             attachments = tuple(attachment.included(self.chain) for attachment in rule.attachments)
             place, given = rule.where.included(self.chain), rule.permissions
             yield ProfileRule(rule.effect, rule.kind, given, attachments, rule.partitions, rule.audit, place)
+
+
+def unique(expressions: list[Attachment]) -> tuple[Attachment, ...]:
+    """Return attachments without duplicate texts."""
+    first: dict[str, Attachment] = {}
+    for expression in expressions:
+        first.setdefault(expression.text, expression)
+    return tuple(first.values())
+
+
+def expected_of_subject(expression: str) -> str:
+    """Return what a subject's exact name violates of the form of enclaves' names, which become paths; empty if legal.
+
+    Args:
+        expression: the expression of a profile; one with wildcards is always legal.
+    """
+    name = literal(expression)
+    if name is None or (is_subject(name) and len(name) <= _LONGEST_SEGMENT):
+        return ""
+    if len(name) > _LONGEST_NAME or max(map(len, name.split("/"))) > _LONGEST_SEGMENT:
+        return f"at most {_LONGEST_NAME} characters, and {_LONGEST_SEGMENT} between two '/'"
+    if is_subject(name):
+        return ""
+    return "expected '/' and segments of letters, digits and '_' that do not begin with a digit, e.g. /robot1/talker"
 
 
 def files(origins: Iterable[Origin]) -> str:

@@ -16,8 +16,7 @@ from comarmor.errors import ComArmorError, Defects, Diagnostic, Origin
 from comarmor.language import attachments
 from comarmor.language.attachments import Placeholder, TunableReference
 from comarmor.language.loading import load_included
-from comarmor.language.parse import expected_of_name
-from comarmor.language.syntax import Attachment, Inclusion, Profile, ProfileRule
+from comarmor.language.syntax import Attachment, Inclusion, Profile, ProfileRule, expected_of_subject
 from comarmor.patterns.expression import literal
 from comarmor.rules import PERMISSIONS, Effect
 from comarmor.text import did_you_mean, quote
@@ -117,9 +116,8 @@ class _PolicyMaker:
             if subject.value:
                 message = "the subject cannot contain {name} or {namespace}"
                 raise ComArmorError(message, where=row.where, help="use a wildcard", code="brace")
-            name = literal(subject.text)
-            if name is not None and (expected := expected_of_name(name)):
-                message = f"{quote(name)} is not a legal name of a subject"
+            if expected := expected_of_subject(subject.text):
+                message = f"{quote(literal(subject.text) or '')} is not a legal name of a subject"
                 raise ComArmorError(message, where=row.where, help=expected, code="subject-name")
             self.subjects[row.subject] = replace(subject, where=row.origin)
         return row.subject
