@@ -206,8 +206,8 @@ def _identity_key(session: Session, package: Package, keyring: Keyring) -> tuple
     return fingerprint, ()
 
 
-LEAST = 64
-"""Enclaves that are worth a part of their own."""
+LEAST = 32
+"""Enclaves that are worth a part of their own. One part is worth no process: fewer are examined sooner in this one."""
 _Beside = TypeVar("_Beside")
 
 
@@ -235,6 +235,7 @@ def check(
     of_keys = elsewhere(session), encryption(session), exposed_keys(session)
     # What is last this process does itself.
     tasks.append(lambda: (*map(tuple, around), tuple(chain(*of_keys)), beside()))
+    pool = pool if len(parts) > 1 else Pool(1)
     *rest, (outside, of_files, of_git, decides, owned, more) = pool.map(lambda task: tuple(task()), tasks)
     enclaves = [*first, *chain.from_iterable(rest)]
     findings = [finding for _, _, of_enclave in enclaves for finding in of_enclave]
