@@ -362,7 +362,8 @@ def register_file(register: Register) -> bytes:
         for (table, kind), rows in entries:
             names = [field.name for field in fields(kind)]
             insert = f"INSERT INTO {table} ({', '.join(names)}) VALUES ({', '.join('?' * len(names))})"  # noqa: S608 - constants
-            database.executemany(insert, ([_stored(name, getattr(each, name)) for name in names] for each in rows))
+            stored = (_stored(field, [getattr(each, field.name) for each in rows]) for field in fields(kind))
+            database.executemany(insert, zip(*stored, strict=True))
         for table, numbers in zip(_NUMBERED, (register.numbers, register.bundles), strict=True):
             database.executemany(f"INSERT INTO {table} VALUES (?, ?)", sorted(numbers.items()))  # noqa: S608 - constants
         database.execute("INSERT INTO history VALUES (?)", (int(register.is_whole),))
@@ -370,10 +371,13 @@ def register_file(register: Register) -> bytes:
         return database.serialize()
 
 
-def _stored(name: str, value: Any) -> object:
-    if name == _SERIAL:
-        return f"{value:x}"
-    return value.isoformat() if isinstance(value, datetime) else value
+def _stored(field: Field[Any], values: Sequence[Any]) -> Sequence[Any]:
+    """Return the column of a field from its values; the reverse of :func:`_values`."""
+    if field.name == _SERIAL:
+        return [f"{each:x}" for each in values]
+    if "datetime" not in str(field.type):
+        return values
+    return [each and each.isoformat() for each in values]
 
 
 def _numbered(row: tuple[object, ...]) -> tuple[str, int]:

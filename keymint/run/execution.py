@@ -48,7 +48,7 @@ from keymint.view.tree import Tree
 from keymint.workspace.package_build_types import BUILD, may_share
 from keymint.workspace.policy_loading import recorded_files
 from keymint.workspace.session import Inputs, Session
-from keymint.workspace.workspace import Workspace, missing_gitignores
+from keymint.workspace.workspace import Workspace
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -419,6 +419,7 @@ def execute(
     workers: Workers,
     on_step: Callable[[Step], None],
     intent: Journal,
+    guards: Sequence[FolderChange] = (),
     log: Sequence[FolderChange] = (),
 ) -> int:
     """Carry out a plan.
@@ -430,6 +431,7 @@ def execute(
         workers: the processes that hold a part of what is written.
         on_step: called for every step, after all of them.
         intent: what the run was asked for.
+        guards: the missing ``.gitignore`` files.
         log: what adds the run to the log.
 
     Returns:
@@ -438,7 +440,7 @@ def execute(
     Raises:
         KeymintError: the system refuses a write; no file is incomplete, and the next run finishes it, or drops it.
     """
-    folder, guards = inputs.workspace.state, missing_gitignores(inputs.workspace, plan)
+    folder = inputs.workspace.state
     if guards or plan.writes() or plan.state != inputs.state:
         changing = {step.package for step in plan.steps if step.package and step.writes()}
         store.begin(replace(intent, packages=tuple(sorted(changing))))

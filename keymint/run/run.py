@@ -373,7 +373,7 @@ class Run:
             who = self.setting.who() if plan.writes() else ("", "")
             log = log_change(inputs, plan, self.verb, f"{intent.command}{' --yes' * self.yes}", who, self.setting.now)
             with self.console.progress(len(plan.steps), self.setting.monotonic) as advance:
-                visible = execute(plan, inputs, store, self.crew, advance, intent, log)
+                visible = execute(plan, inputs, store, self.crew, advance, intent, guards, log)
             changes = itertools.chain(guards, plan.changes(), log)
             names = ((str(each.folder), each.written, each.removed) for each in changes)
             written = clock_now(workspace.state)

@@ -80,8 +80,7 @@ def create(
         if file.link:
             os.symlink(file.link, name, dir_fd=folder)
             return None
-        is_public = not file.secret and file.mode is None
-        opened = os.open(name, NEW_FILE, 0o644 if is_public else 0o600, dir_fd=folder)
+        opened = os.open(name, NEW_FILE, file_mode(secret=file.secret or file.mode is not None), dir_fd=folder)
         try:
             return fill(opened, file, owner)
         finally:
@@ -93,8 +92,7 @@ def create(
 def fill(opened: int, file: File, owner: tuple[int, int] | None) -> os.stat_result:
     """Write a new file that is open, give it its owner and its mode, and return its status; see :func:`create`."""
     write_all(opened, file.content)
-    if owner is not None:
-        give(opened, owner)
+    give(opened, owner)
     return with_mode(opened, file_mode(secret=file.secret) if file.mode is None else file.mode)
 
 

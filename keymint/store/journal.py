@@ -79,8 +79,9 @@ class Journal:
 
     def dump(self, records: Path) -> bytes:
         """Return the journal as bytes; its paths are relative to the folder of records, so a workspace may be moved."""
+        places = {folder: os.path.relpath(folder, records) for folder in {each.folder for each in self.exchanges}}
         rows = [
-            (each.order, os.path.relpath(each.folder, records), each.name, each.staged, each.file, each.replaces,
+            (each.order, places[each.folder], each.name, each.staged, each.file, each.replaces,
              each.changed)
             for each in self.exchanges
         ]  # fmt: skip

@@ -15,7 +15,7 @@ import contextlib
 import errno
 import os
 import stat
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import field
 from importlib import import_module
 from typing import Any, NoReturn
@@ -311,7 +311,10 @@ def stage(
             for file, changed in content.files.items():
                 replaced = file_writing.require_regular(old, shown, file, or_link=changed.replaces_link) or status
                 file_writing.create(new, shown, file, changed, (replaced.st_uid, replaced.st_gid))
-            _add_folders(new, shown, content, [each.name for each in os.scandir(new) if each.is_dir()])
+            there = {each.name for each in os.scandir(new) if each.is_dir()}
+            for inner, below in content.folders.items():
+                if below.writes() and inner not in there:
+                    add(new, inner, f"{shown}/{inner}", below, {})
             if content.removes() and not list(os.scandir(new)):
                 os.rmdir(name, dir_fd=new_parent)
                 return
@@ -339,22 +342,7 @@ def _carry(old: int, new: int, shown: str, content: FolderContent, carried: dict
             carried[f"{inside}{name}"] = entry.inode()
 
 
-def _add_folders(
-    parent: int,
-    shown: str,
-    content: FolderContent,
-    staged: Collection[str] = (),
-    seen: dict[str, FolderStatus] | None = None,
-) -> None:
-    """Create the new subfolders of a staged folder."""
-    for name, inner in content.folders.items():
-        if inner.writes() and name not in staged:
-            add(parent, name, f"{shown}/{name}", inner, seen)
-
-
-def add(
-    parent: int, name: str, shown: str, content: FolderContent, seen: dict[str, FolderStatus] | None = None
-) -> None:
+def add(parent: int, name: str, shown: str, content: FolderContent, seen: dict[str, FolderStatus]) -> None:
     """Create a new folder.
 
     Args:
@@ -373,10 +361,11 @@ def add(
         new = os.open(name, FOLDER, dir_fd=parent)
         try:
             files = {inner: file_writing.create(new, shown, inner, file) for inner, file in content.files.items()}
-            if content.folders:
-                _add_folders(new, shown, content, (), seen)
+            for inner, below in content.folders.items():
+                if below.writes():
+                    add(new, inner, f"{shown}/{inner}", below, seen)
             status = new_status(file_writing.with_mode(new, mode), files, content.folders)
-            if status is not None and seen is not None and not (files and content.folders):
+            if status is not None and not (files and content.folders):
                 seen[shown] = status
         finally:
             os.close(new)

@@ -15,6 +15,7 @@ times when a name is made or removed), so what is known by name is not listed ag
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import marshal
 import os
@@ -521,8 +522,8 @@ class Sight(NamedTuple):
                 written.setdefault(folder, set()).update(new)
                 removed.setdefault(folder, set()).update(gone)
         inside = tuple(f"{root}/" for root in self.roots)
-        made = {folder: status for folder, status in seen.items() if folder not in written}
-        own = {folder: each for folder, each in made.items() if not each.folders and folder.startswith(inside)}
+        made = {folder: each for folder, each in seen.items() if folder not in written and folder.startswith(inside)}
+        own = dict(_still_as_made(made, visible))
         if not all(status.is_trusted(clock) for status in own.values()):
             return None
         folders = {**self.folders, **own}
@@ -531,8 +532,7 @@ class Sight(NamedTuple):
             if not f"{folder}/".startswith(inside):
                 continue
             before, new = self.folders.get(folder), written.get(folder, set())
-            present = _of_folders(folder, made.get(folder), visible)
-            present = present or folder_status(folder, new, self.clock, visible)
+            present = folder_status(folder, new, self.clock, visible)
             if present is None:
                 folders.pop(folder, None)
                 continue
@@ -544,17 +544,17 @@ class Sight(NamedTuple):
         return Sight(self.roots, folders, clock) if folders.keys() >= set(inner) else None
 
 
-def _of_folders(folder: str, made: FolderStatus | None, visible: int) -> FolderStatus | None:
-    """Return the status of a folder that the run made, if it has only folders, and the same since it is visible."""
-    if made is None or made.files:
-        return None
-    try:
-        own = os.stat(folder)  # noqa: PTH116 - of texts, because there are many
-    except OSError:
-        return None
-    if own.st_mtime_ns >= visible:  # another process may add a folder
-        return None
-    return FolderStatus(_digest([_STATUS(own)]), max(own.st_mtime_ns, own.st_ctime_ns), (), made.folders)
+def _still_as_made(made: Mapping[str, FolderStatus], visible: int) -> Iterator[tuple[str, FolderStatus]]:
+    """Yield the folders that a run made, with their status, but those of folders in which names changed since."""
+    for folder, status in made.items():
+        if not status.folders:
+            yield folder, status
+            continue
+        with contextlib.suppress(OSError):
+            own = os.stat(folder)  # noqa: PTH116 - of texts, because there are many
+            if own.st_mtime_ns < visible:  # else another process may have added a folder
+                newest = max(own.st_mtime_ns, own.st_ctime_ns)
+                yield folder, FolderStatus(_digest([_STATUS(own)]), newest, (), status.folders)
 
 
 def _above(folders: Iterable[str], inside: tuple[str, ...]) -> set[str]:
