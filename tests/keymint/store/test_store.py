@@ -519,7 +519,8 @@ def test_a_folder_of_someone_else_is_one_line() -> None:
     if os.geteuid() not in {0, folder.stat().st_uid} and os.access(folder, os.W_OK):
         pytest.skip("/usr may be written to")
     # What the interpreter imports from must be readable for nobody, too; so it is imported before root is given up.
-    drop = f"import os\nimport keymint.store.store\nif os.geteuid() == 0: os.setgid({nobody}); os.setuid({nobody})\n"
+    loaded = "import os, shutil\nimport keymint.store.store\n"
+    drop = f"{loaded}if os.geteuid() == 0: os.setgid({nobody}); os.setuid({nobody})\n"
     ran = subprocess.run(
         [sys.executable, "-c", drop + SCRIPT, str(folder), "1"], capture_output=True, check=False, text=True
     )
