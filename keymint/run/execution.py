@@ -20,6 +20,7 @@ import io
 import itertools
 import os
 import pickle
+import sys
 import threading
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -27,7 +28,7 @@ from dataclasses import fields, is_dataclass, replace
 from datetime import datetime
 from functools import partial
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from keymint.authority.authorities import STAGE as AUTHORITIES
 from keymint.errors import KeymintError, process_ended
@@ -43,7 +44,7 @@ from keymint.store.journal import Journal
 from keymint.store.staged import Exchange
 from keymint.store.store import Store, clock
 from keymint.view.recorded_answers import Answer, Call, FolderStatus, Sight, is_recordable, name_of, record
-from keymint.view.stamps import digest
+from keymint.view.stamps import compact, digest, one_of, row_of
 from keymint.view.tree import Tree
 from keymint.workspace.package_build_types import BUILD, may_share
 from keymint.workspace.policy_loading import recorded_files
@@ -59,13 +60,20 @@ FIRST = 8
 """Packages that are planned before the processes start, which begin with what was learned of their kinds."""
 MOST_PACKAGES = 512
 """About how many packages a process has in full."""
+MOST_OWN = 2_000
+"""Packages up to which the parent plans some itself; what it keeps of many takes the memory for that."""
 COMMON_WORK = 0.15
 """What the parent does for all packages while they are planned, compared with planning them."""
 
 _PART, _DONE, _REFUSED, _CRASHED = "part", "done", "refused", "crashed"
 """Kinds of answers of a process: some plans of a stage, the last ones, and errors."""
 _Stages = Sequence[Callable[[Session], PackageStage]]
-_Answer = TypeVar("_Answer")
+_Task = tuple[Session, Sequence[str], _Stages, NewPackages | None]
+"""The workspace, the packages to plan, what makes each stage, and the packages that are new, if some may be."""
+_Send = Callable[..., object]
+"""Sends an answer, which begins with its kind."""
+_OTHERS = attrgetter(*(each.name for each in fields(PackagePlan) if each.name not in {"name", "step", "stamp"}))
+_NO_FILES: Mapping[str, File] = {}
 _Changes = Sequence[Sequence[Iterable[FolderChange]]]
 """The changes of each stage, in parts."""
 
@@ -92,8 +100,7 @@ class Workers(Crew):
 
     def start(self, session: Session, names: Sequence[str], stages: _Stages) -> None:
         """See :meth:`keymint.stages.work.Crew.start`."""
-        own = max(0.0, (1 - COMMON_WORK * (self._count - 1)) / self._count)
-        parts = _parts(names, [own, *[(1 - own) / (self._count - 1)] * (self._count - 1)] if self._count > 1 else [1])
+        parts = _parts(names, _shares(len(names), self._count))
         # A thread of this process would not be there in a forked one, but the locks that it holds would.
         if len(names) < MIN_PACKAGES or len(parts) == 1 or threading.active_count() > 1 or not hasattr(os, "fork"):
             return
@@ -106,35 +113,33 @@ class Workers(Crew):
 
         # What the first packages need is imported, compiled and proven once for all processes.
         with contextlib.suppress(KeymintError):
-            for _ in _plan(session, names[:FIRST], stages, self.new):
+            for _ in _plan((session, names[:FIRST], stages, self.new)):
                 pass
         _trim()  # the processes inherit what the parsed policy took and is free
         context = multiprocessing.get_context("fork")
         for part in parts[1:]:
             here, there = context.Pipe()
-            process = context.Process(target=_work, args=(there, [*self._pipes, here], session, part, stages, self.new))
+            process = context.Process(
+                target=_work, args=(there, [*self._pipes, here], (session, part, stages, self.new))
+            )
             with held_signals():  # the process keeps them blocked: this one decides
                 process.start()
             there.close()
             self._processes.append(process)
             self._pipes.append(here)
         self._sources = [lambda: self._own.pop(0), *(partial(_received, pipe) for pipe in self._pipes)]
-        with self._own_refusal():
-            self._changes = _planned_in_parts(self._own.append, _as_it_is, session, parts[0], stages, self.new)
+        with _refusing(self._answer):
+            self._changes = _planned_in_parts(self._answer, (session, parts[0], stages, self.new))
 
-    @contextlib.contextmanager
-    def _own_refusal(self) -> Iterator[None]:
-        """Answer that this process cannot do its part, if so."""
-        try:
-            yield
-        except KeymintError as error:
-            self._own.append((_REFUSED, error.diagnostics, error.exit_code))
+    def _answer(self, *answer: object) -> None:
+        self._own.append(answer)
 
     def planned(self, stage: PackageStage, names: Sequence[str]) -> list[Any]:
         """See :meth:`keymint.stages.work.Crew.planned`."""
         if not self._pipes:
             return super().planned(stage, names)
-        return [each for source in self._sources for part in _answers(source) for each in part]
+        found = (each for source in self._sources for part in _answers(source) for each in part)
+        return [_plan_of(each) if isinstance(each, tuple) else each for each in found]
 
     def stage(self, store: Store) -> list[Exchange]:
         """Let the processes stage what they planned, and return it in the order of stages.
@@ -151,8 +156,8 @@ class Workers(Crew):
                 pipe.send(None)
         by_process: list[list[Sequence[Exchange]]] = []
         errors: list[KeymintError] = []
-        with self._own_refusal():
-            self._own.append((_DONE, _staged_parts(store, self._changes)))
+        with _refusing(self._answer):
+            self._answer(_DONE, _staged_parts(store, self._changes))
         for source in self._sources:
             try:
                 by_process += _answers(source)
@@ -188,6 +193,13 @@ class Workers(Crew):
         self._pipes.clear()
         self._own.clear()
         self._changes = ()
+
+
+def _shares(size: int, count: int) -> list[float]:
+    """Return what share of some packages each process plans, this one first."""
+    own = max(0.0, (1 - COMMON_WORK * (count - 1)) / count) if size <= MOST_OWN else 0.0
+    others = count - (own > 0)
+    return [own, *[(1 - own) / others] * others] if count > 1 else [1]
 
 
 def _trim() -> None:
@@ -257,8 +269,13 @@ class PackedChanges:
             yield replace(each, files={**each.files, **secret}) if secret else each
 
 
-def _as_it_is(*answer: object) -> tuple[Any, ...]:
-    return answer
+@contextlib.contextmanager
+def _refusing(send: _Send) -> Iterator[None]:
+    """Answer that a process cannot do its part, if so."""
+    try:
+        yield
+    except KeymintError as error:
+        send(_REFUSED, error.diagnostics, error.exit_code)
 
 
 def _received(pipe: Connection) -> Any:
@@ -283,14 +300,7 @@ def _answers(receive: Callable[[], Any]) -> Iterator[list[Any]]:
         yield answer[0]
 
 
-def _work(
-    pipe: Connection,
-    inherited: Sequence[Connection],
-    session: Session,
-    names: Sequence[str],
-    stages: _Stages,
-    new: NewPackages | None,
-) -> None:
+def _work(pipe: Connection, inherited: Sequence[Connection], task: _Task) -> None:
     """Plan packages and send the plans stage by stage; stage them when the parent says so.
 
     This runs in a process of its own.
@@ -298,19 +308,22 @@ def _work(
     gc.freeze()  # a search for cycles among the parent's objects would copy their pages
     for each in inherited:  # otherwise this process would not see that the parent ended
         each.close()
+
+    def send(*answer: object) -> None:
+        pipe.send_bytes(_pickled(*answer))
+
     with contextlib.suppress(EOFError, OSError):
         try:
-            changes = _planned_in_parts(pipe.send_bytes, _pickled, session, names, stages, new)
-            pipe.recv()
-            store = open_store(session.workspace)
-            pipe.send_bytes(_pickled(_DONE, _staged_parts(store, changes)))
-            pipe.send_bytes(_pickled(_DONE, [*store.seen.items()]))
-        except KeymintError as error:
-            pipe.send_bytes(_pickled(_REFUSED, error.diagnostics, error.exit_code))
+            with _refusing(send):
+                changes = _planned_in_parts(send, task)
+                pipe.recv()
+                store = open_store(task[0].workspace)
+                send(_DONE, _staged_parts(store, changes))
+                send(_DONE, [*store.seen.items()])
         except Exception as error:  # noqa: BLE001 - the parent reports it
             import traceback  # noqa: PLC0415 - few runs need it
 
-            pipe.send_bytes(_pickled(_CRASHED, f"{type(error).__name__}: {error}", traceback.format_exc()))
+            send(_CRASHED, f"{type(error).__name__}: {error}", traceback.format_exc())
 
 
 def _staged_parts(store: Store, changes: _Changes) -> list[list[Exchange]]:
@@ -318,35 +331,21 @@ def _staged_parts(store: Store, changes: _Changes) -> list[list[Exchange]]:
     return [[each for part in of_stage for each in store.stage(part)] for of_stage in changes]
 
 
-def _planned_in_parts(
-    send: Callable[[_Answer], None],
-    pack: Callable[..., _Answer],
-    session: Session,
-    names: Sequence[str],
-    stages: _Stages,
-    new: NewPackages | None,
-) -> _Changes:
+def _planned_in_parts(send: _Send, task: _Task) -> _Changes:
     """Plan packages part by part, send the plans of all of them stage by stage, and return the changes of each stage.
-
-    Args:
-        send: sends an answer.
-        pack: makes an answer of its kind and some plans.
-        session: the workspace and its profile.
-        names: the packages.
-        stages: what makes each stage, in their order.
-        new: the packages that are new, if some may be.
 
     Raises:
         KeymintError: a stage cannot plan; the plans of all stages before it are sent.
     """
+    session, names, stages, new = task
     number_of_parts = max(1, round(len(names) / MOST_PACKAGES))
     parts = _parts(names, [1 / number_of_parts] * number_of_parts)
-    answers: list[list[_Answer]] = [[] for _ in stages]
+    answers: list[list[tuple[str, list[Any]]]] = [[] for _ in stages]
     changes: list[list[Iterable[FolderChange]]] = [[] for _ in stages]
     refused: KeymintError | None = None
     for part in parts:
         is_last = part is parts[-1]
-        planned = _plan(session.apart(), part, stages[: len(answers)], new)
+        planned = _plan((session.apart(), part, stages[: len(answers)], new))
         for number, of_stage in enumerate(answers):
             try:
                 plans, changed = next(planned)
@@ -355,10 +354,10 @@ def _planned_in_parts(
             except StopIteration:  # a package has errors, which the parent reports without what comes after it
                 refused = None
             else:
-                of_stage.append(pack(_DONE if is_last else _PART, plans))
+                of_stage.append((_DONE if is_last else _PART, plans))
                 changes[number].append(PackedChanges(changed) if len(parts) > 1 else changed)
                 while is_last and of_stage:
-                    send(of_stage.pop(0))
+                    send(*of_stage.pop(0))
                 continue
             del answers[number:]
             break
@@ -367,16 +366,15 @@ def _planned_in_parts(
     return changes
 
 
-def _plan(
-    session: Session, names: Sequence[str], stages: _Stages, new: NewPackages | None
-) -> Iterator[tuple[list[Any], list[FolderChange]]]:
+def _plan(task: _Task) -> Iterator[tuple[list[Any], list[FolderChange]]]:
     """Plan packages, and yield the plans of each stage without their bytes, and the changes of each stage."""
+    session, names, stages, new = task
     for start in stages:
         stage = start(session)
         planned = planned_by(stage, names, new)
         plans = [each for each in planned if isinstance(each, PackagePlan)]
         changes = [change for each in plans if each.step for change in each.step.changes]
-        yield [_without_bytes(each) for each in plans] or planned, changes
+        yield [_row(each) if isinstance(each, PackagePlan) else each for each in planned], changes
         if any(each.errors for each in plans):
             return
         session = session_after(session, stage.NAME, plans)
@@ -384,14 +382,29 @@ def _plan(
         names = [each.name for each in installed if each.step is None or each.step.action is not Action.KEPT]
 
 
-def _without_bytes(plan: PackagePlan) -> PackagePlan:
-    if plan.step is None or not plan.step.changes:
-        return plan
-    step, stamp = plan.step.held_elsewhere(), plan.stamp and plan.stamp.compact()
-    return PackagePlan(
-        plan.name, step, stamp, plan.diagnostics, plan.errors, plan.fingerprint, plan.lifetimes, plan.build_types,
-        plan.artifacts, plan.outdated, plan.issued, plan.signed, plan.rights, plan.withdrawn,
-    )  # fmt: skip
+def _row(plan: PackagePlan) -> tuple[Any, ...]:
+    """Return a plan without the bytes of its files, as values that take little time to send; see :func:`_plan_of`."""
+    step, stamp, changes = plan.step, plan.stamp, list[tuple[Any, ...]]()
+    for each in step.changes if step else ():
+        held = compact({name: file.digest for name, file in each.files.items()})
+        changes.append((str(each.folder), each.removed, each.private, held))
+    return (
+        plan.name,
+        step and (step.stage, step.package, step.action, changes, step.detail, step.sizes),
+        stamp and row_of(stamp),
+        _OTHERS(plan),
+    )
+
+
+def _plan_of(row: tuple[Any, ...]) -> PackagePlan:
+    """Return the plan of a row; what many plans have in common is kept once."""
+    name, step, stamp, others = row
+    name = sys.intern(name)
+    if step:
+        stage, package, action, changes, detail, sizes = step
+        held = tuple([FolderChange(folder, _NO_FILES, *more) for folder, *more in changes])
+        step = Step(stage, package and name, action, held, one_of(detail), sizes and one_of(sizes))
+    return PackagePlan(name, step, stamp, *others)
 
 
 # -- carrying out ----------------------------------------------------------------------------------------------------

@@ -280,7 +280,8 @@ def _plan_shared(session: Session, options: BuildOptions, *, force: bool) -> lis
     writers: dict[str, str] = {}
     for plan in planned:
         own = package_build_types.shared_type(plan.name)
-        for path in (plan.stamp or session.state.stamps[STAGE][plan.name]).outputs:
+        stamp = plan.stamp if isinstance(plan.stamp, Stamp) else session.state.stamps[STAGE][plan.name]
+        for path in stamp.outputs:
             if (other := writers.setdefault(path, own)) != own:
                 raise KeymintError(
                     f"the build types {other} and {own} both have a shared document {path}",

@@ -132,7 +132,9 @@ class InstallStage(PackageStage):
         return PackagePlan(
             name,
             Step(STAGE, name, Action.CREATED, (change,)),
-            _stamp(inputs, new.files, lifetimes=new.built.stamp.lifetimes if new.built.stamp else ""),
+            _stamp(
+                inputs, new.files, lifetimes=new.built.stamp.lifetimes if isinstance(new.built.stamp, Stamp) else ""
+            ),
             fingerprint=new.built.fingerprint,
             lifetimes=new.built.lifetimes,
             build_types=like.build_types,

@@ -245,7 +245,8 @@ def _require_same(session: Session, name: str) -> Mapping[str, Stamp]:
             help=f"run 'keymint build {name}' and 'keymint install {name}' first",
             code="sources-changed",
         )
-    return {name: planned.stamp} if planned.stamp and planned.step and not planned.step.writes() else {}
+    stamp, step = planned.stamp, planned.step
+    return {name: stamp} if isinstance(stamp, Stamp) and step and not step.writes() else {}
 
 
 def refuse_new_authorities(session: Session, plan: Plan) -> None:

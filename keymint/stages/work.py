@@ -24,7 +24,7 @@ from keymint.life.terms import Term
 from keymint.life.workspace_register import register_of
 from keymint.names import ROOT, subject_of
 from keymint.store.changes import Action, File, FolderChange, Plan, Step
-from keymint.view.stamps import Stamp, State
+from keymint.view.stamps import Stamp, StampRow, State
 from keymint.workspace.package_build_types import may_share
 from keymint.workspace.session import Inputs, Session
 from keymint.workspace.stored_keys import IDENTITY_KEYS, with_recorded_keys
@@ -68,7 +68,7 @@ class PackagePlan:
     Attributes:
         name: the package, or the key of the record of the documents over all packages of a build type.
         step: what is written.
-        stamp: the record of it; None if nothing changes.
+        stamp: the record of it, perhaps as it is written; None if nothing changes.
         diagnostics: warnings about the package.
         errors: what prevents the step.
         fingerprint: fingerprint of the subject's key, if it is to be recorded.
@@ -86,7 +86,7 @@ class PackagePlan:
 
     name: str
     step: Step | None = None
-    stamp: Stamp | None = None
+    stamp: Stamp | StampRow | None = None
     diagnostics: tuple[Diagnostic, ...] = ()
     errors: tuple[Diagnostic, ...] = ()
     fingerprint: str = ""

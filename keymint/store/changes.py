@@ -12,7 +12,7 @@ from pathlib import Path
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
 from keymint.view.stamps import State
-from keymint.view.tree import Content, File, HeldFile, HeldFiles, Tree
+from keymint.view.tree import Content, File, Tree
 
 __all__ = ["Action", "DocumentSize", "File", "FolderChange", "Plan", "Step", "file_mode", "folder_changes"]
 
@@ -32,9 +32,6 @@ def file_mode(*, secret: bool) -> int:
     return 0o600 if secret else 0o644
 
 
-_NO_FILES: Mapping[str, File] = {}
-
-
 @dataclass(frozen=True, slots=True)
 class FolderChange:
     """Files to write into one folder, and names to remove from it.
@@ -44,24 +41,19 @@ class FolderChange:
         files: files by name; written in this order, so that a reader meets the least harm in between.
         removed: names of files to remove.
         private: the folder and the ones created on the way to it are 0700 even when no file is secret.
-        held: files by name whose content another process holds and will write.
+        held: the digests of files by name whose content another process holds and will write.
     """
 
     folder: Path | str
     files: Mapping[str, File] = field(default_factory=dict)
     removed: tuple[str, ...] = ()
     private: bool = False
-    held: Mapping[str, HeldFile] = field(default_factory=dict)
+    held: Mapping[str, str] = field(default_factory=dict)
 
     @property
-    def written(self) -> Mapping[str, File | HeldFile]:
+    def written(self) -> Mapping[str, File | str]:
         """The files that are written, by whichever process, by name."""
         return {**self.files, **self.held} if self.files and self.held else self.files or self.held
-
-    def held_elsewhere(self) -> FolderChange:
-        """Return this change without the content of its files, for a process that does not write them."""
-        held = HeldFiles.of({name: file.digest for name, file in self.files.items()})
-        return FolderChange(str(self.folder), _NO_FILES, self.removed, self.private, held)
 
 
 def folder_changes(tree: Tree, folder: Path, files: Mapping[str, File | bytes]) -> tuple[FolderChange, ...]:
@@ -135,11 +127,6 @@ class Step:
     changes: tuple[FolderChange, ...] = ()
     detail: str = ""
     sizes: tuple[DocumentSize, ...] = ()
-
-    def held_elsewhere(self) -> Step:
-        """Return this step without the content of its files, as :meth:`FolderChange.held_elsewhere`."""
-        changes = tuple([each.held_elsewhere() for each in self.changes])
-        return Step(self.stage, self.package, self.action, changes, self.detail, self.sizes)
 
     def writes(self) -> bool:
         """Tell whether anything is written."""

@@ -7,13 +7,14 @@ the existing files.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import itertools
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import field
-from typing import Any, NamedTuple, Self, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from comarmor.values import dataclass
 
@@ -46,23 +47,22 @@ def digest(*parts: bytes | memoryview | str) -> str:
     return hashed.hexdigest()
 
 
-class CompactMapping(Mapping[str, _V]):
-    """Values by name that take little memory where many have the same names, as the folders of a fleet do.
+class Digests(Mapping[str, str]):
+    """Digests of files by name that take little memory where many have the same names, as the folders of a fleet do.
 
     Args:
         names: the names; equal ones are kept once by whoever makes many.
-        values: their values.
+        packed: their digests, one after the other, as bytes.
     """
 
-    __slots__ = ("_names", "_values")
+    __slots__ = ("_names", "_packed")
 
-    def __init__(self, names: tuple[str, ...], values: tuple[_V, ...]) -> None:
-        self._names, self._values = names, values
+    def __init__(self, names: tuple[str, ...], packed: bytes) -> None:
+        self._names, self._packed = names, packed
 
-    def __getitem__(self, name: str) -> _V:
-        if name not in self._names:
-            raise KeyError(name)
-        return self._values[self._names.index(name)]
+    def __getitem__(self, name: str) -> str:
+        at = dict(zip(self._names, range(0, len(self._packed), _DIGEST // 2), strict=True))[name]
+        return self._packed[at : at + _DIGEST // 2].hex()
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._names)
@@ -71,18 +71,23 @@ class CompactMapping(Mapping[str, _V]):
         return len(self._names)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self._names, self._values)
-
-    @classmethod
-    def of(cls, values: Mapping[str, _V]) -> Self:
-        """Return the mapping with the same values."""
-        return cls(one_of(tuple(values)), tuple(values.values()))
+        return type(self), (one_of(self._names), self._packed)
 
 
-@functools.lru_cache(maxsize=64)
-def one_of(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return one object for equal names, so that they are kept once."""
-    return names
+def compact(digests: Mapping[str, str]) -> Mapping[str, str]:
+    """Return the same mapping; as :class:`Digests` if its values are digests."""
+    text = "".join(digests.values())
+    with contextlib.suppress(ValueError):
+        packed = bytes.fromhex(text)
+        if packed.hex() == text and all(len(each) == _DIGEST for each in digests.values()):
+            return Digests(one_of(tuple(digests)), packed)
+    return digests
+
+
+@functools.lru_cache(maxsize=256)
+def one_of(value: _V) -> _V:
+    """Return one object for equal values, so that they are kept once."""
+    return value
 
 
 def digest_files(files: Mapping[str, bytes]) -> str:
@@ -110,11 +115,6 @@ class Stamp:
     lifetimes: str = ""
     build_types: tuple[str, ...] = ()
 
-    def compact(self) -> Stamp:
-        """Return the same stamp, which takes little memory."""
-        outputs = CompactMapping.of(self.outputs)
-        return Stamp(self.inputs, outputs, self.secret, self.context, self.lifetimes, self.build_types)
-
 
 class _Form(NamedTuple):
     """What the stamps of many packages have in common.
@@ -132,13 +132,23 @@ class _Form(NamedTuple):
     build_types: tuple[str, ...]
     texts: tuple[tuple[str, ...], ...]
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _form_of, tuple(self)
 
-_form_of = functools.lru_cache(maxsize=64)(_Form)
-_Row = tuple[_Form, bytes]
+
+@functools.lru_cache(maxsize=64)
+def _form_of(*values: Any) -> _Form:
+    return _Form(*values)
+
+
+StampRow = tuple[_Form, bytes]
 """A form, and what is the package's own: texts with tabs in between."""
 
 
-def _row(stamp: Stamp) -> _Row:
+def row_of(stamp: Stamp | StampRow) -> StampRow:
+    """Return a stamp as it is written."""
+    if isinstance(stamp, tuple):
+        return stamp
     files = tuple(sorted(stamp.outputs))
     texts = [stamp.inputs, stamp.context, stamp.lifetimes, *map(stamp.outputs.__getitem__, files)]
     common, own = list[tuple[str, ...]](), list[str]()
@@ -169,13 +179,13 @@ class Stamps(Mapping[str, Stamp]):
 
     __slots__ = ("rows",)
 
-    def __init__(self, rows: Mapping[str, _Row]) -> None:
+    def __init__(self, rows: Mapping[str, StampRow]) -> None:
         self.rows = rows
 
     @classmethod
-    def of(cls, stamps: Mapping[str, Stamp]) -> Stamps:
+    def of(cls, stamps: Mapping[str, Stamp] | Mapping[str, Stamp | StampRow]) -> Stamps:
         """Return the mapping with the same stamps."""
-        return stamps if isinstance(stamps, Stamps) else cls({name: _row(stamp) for name, stamp in stamps.items()})
+        return stamps if isinstance(stamps, Stamps) else cls({name: row_of(stamp) for name, stamp in stamps.items()})
 
     def __getitem__(self, name: str) -> Stamp:
         form, line = self.rows[name]
@@ -227,7 +237,9 @@ class State:
         rows = Stamps.of(self.stamps.get(stage, {})).rows
         return rows[package][0].build_types if package in rows else ()
 
-    def updated(self, stage: str, stamps: Mapping[str, Stamp], removed: Iterable[str] = ()) -> State:
+    def updated(
+        self, stage: str, stamps: Mapping[str, Stamp] | Mapping[str, Stamp | StampRow], removed: Iterable[str] = ()
+    ) -> State:
         """Return the state with stamps of one stage added or replaced, and some removed."""
         rows = dict(Stamps.of(self.stamps.get(stage, {})).rows)
         for name in removed:
@@ -293,7 +305,7 @@ def load(content: bytes | None) -> State:
     at, stamps = 0, dict[str, Stamps]()
     try:
         for stage, sections in document["stages"].items():
-            rows: dict[str, _Row] = {}
+            rows: dict[str, StampRow] = {}
             for *names_of_form, texts, names in sections:
                 files, secret, build_types = (tuple(map(str, some)) for some in names_of_form)
                 form = _Form(files, secret, build_types, tuple(tuple(map(str, pieces)) for pieces in texts))

@@ -13,7 +13,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from comarmor.values import dataclass
 from keymint.errors import KeymintError
@@ -28,14 +28,15 @@ from keymint.view.file_reading import (
     read_error,
     read_file,
 )
-from keymint.view.stamps import CompactMapping, digest
+from keymint.view.stamps import digest
 
 if TYPE_CHECKING:
     from keymint.view.recorded_answers import Sight
 
-__all__ = ["MAX_FILE", "REGISTER", "Content", "File", "HeldError", "HeldFile", "Tree", "read_error", "read_file"]
+__all__ = ["MAX_FILE", "REGISTER", "Content", "File", "HeldError", "Tree", "read_error", "read_file"]
 
 _Read = TypeVar("_Read")
+_FEW = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,27 +66,12 @@ class File:
         return self._digest
 
 
-class HeldFile(NamedTuple):
-    """A planned file whose content another process holds: its digest."""
-
-    digest: str
-
-
-class HeldFiles(CompactMapping[Any]):
-    """Planned files of a folder by name, whose content another process holds; made of their digests."""
-
-    __slots__ = ()
-
-    def __getitem__(self, name: str) -> HeldFile:
-        return HeldFile(super().__getitem__(name))
-
-
 class HeldError(Exception):
     """A plan needs content that another process holds: it must be made by one process."""
 
 
-Content = bytes | File | HeldFile | None
-"""Planned content of a file; None for a file that will be removed."""
+Content = bytes | File | str | None
+"""Planned content of a file; if another process holds it, its digest; None for a file that will be removed."""
 
 
 class Tree:
@@ -118,8 +104,8 @@ class Tree:
         """Folders that were read completely, with a slash."""
         self._files: dict[str, Mapping[str, Content]] = {}
         """Planned content by folder and name."""
-        self._folders: dict[str, set[str]] = {}
-        """Names of planned folders, by the folder around them."""
+        self._folders: dict[str, tuple[str, ...] | set[str]] = {}
+        """Names of planned folders, by the folder around them; few names take less memory as a tuple."""
 
     def overlaid(self, changes: Iterable[tuple[Path | str, Mapping[str, Content]]]) -> Tree:
         """Return this view with more planned content, which hides the disk.
@@ -133,7 +119,7 @@ class Tree:
         files, folders = tree._files, tree._folders = dict(self._files), dict(self._folders)
         # What is shared with other views is copied before it changes.
         own: dict[str, dict[str, Content]] = {}
-        own_folders: set[str] = set()
+        own_folders: dict[str, set[str]] = {}
         for place, contents in changes:
             folder = str(place)
             if folder in own:
@@ -144,12 +130,15 @@ class Tree:
                 files[folder] = contents
             while folder and any(content is not None for content in contents.values()):
                 around, _, name = folder.rpartition("/")
-                if name in folders.get(around, ()):
+                known = folders.get(around, ())
+                if name in known:
                     break
-                if around not in own_folders:
-                    own_folders.add(around)
-                    folders[around] = set(folders.get(around, ()))
-                folders[around].add(name)
+                if around in own_folders:
+                    own_folders[around].add(name)
+                elif len(known) < _FEW:
+                    folders[around] = (*known, sys.intern(name))
+                else:
+                    folders[around] = own_folders[around] = {*known, name}
                 folder = around
         return tree
 
@@ -169,7 +158,7 @@ class Tree:
         """Return a file's bytes, or None if there is none; errors as :func:`read_file`."""
         path = str(path)
         planned, content = self._planned(path)
-        if isinstance(content, HeldFile):
+        if isinstance(content, str):
             raise HeldError(path)
         if isinstance(content, File):
             return content.content
@@ -183,10 +172,10 @@ class Tree:
         """
         path = str(path)
         is_planned, planned = self._planned(path)
-        if isinstance(planned, HeldFile | File):
-            return planned.digest
         if is_planned:
-            return None if planned is None else digest(planned)
+            if isinstance(planned, bytes):
+                return digest(planned)
+            return planned.digest if isinstance(planned, File) else planned
         if path not in self._digests:
             kept = path in self._contents
             content = self._read(path)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -249,7 +248,7 @@ def in_words(example: Counterexample) -> tuple[str, str, str]:
     return permits, f"{example.endpoint.action} {example.endpoint.name!r}{meaning}", allows
 
 
-RULES, _CLAIMS, _TERMS, WRITTEN = "rules", "claims", "terms", "written"
+RULES, _CLAIMS, TERMS, WRITTEN = "rules", "claims", "terms", "written"
 """Keys of the outputs."""
 
 
@@ -270,43 +269,7 @@ def dump_proof(
         )
         for each in terms
     ]
-    return {_CLAIMS: dump_claims(tuple(claims)), RULES: placeless_digest(rules), _TERMS: f"[{','.join(rows)}]"}
-
-
-class OutputsLike(Mapping[str, str]):
-    """The outputs of a stamp with the same claims as another one, and documents in force at the same times.
-
-    They take little memory: the text about these times is made when it is asked for.
-
-    Args:
-        like: the outputs of the other one.
-        own: those that differ in more than values.
-        values: values of the other package, which the text has.
-        others: those in their place.
-    """
-
-    __slots__ = ("_like", "_others", "_own", "_values")
-
-    def __init__(
-        self, like: Mapping[str, str], own: Mapping[str, str], values: tuple[str, ...], others: tuple[str, ...]
-    ) -> None:
-        self._like, self._own, self._values, self._others = like, own, values, others
-
-    def __getitem__(self, key: str) -> str:
-        if key != _TERMS:
-            return self._own.get(key) or self._like[key]
-        names = dict(zip(self._values, self._others, strict=False))
-        found = re.compile("|".join(map(re.escape, sorted(names, key=len, reverse=True))) or "(?!)")
-        return found.sub(lambda value: names[value[0]], self._like[_TERMS])
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._like)
-
-    def __len__(self) -> int:
-        return len(self._like)
-
-    def __reduce__(self) -> tuple[object, ...]:
-        return type(self), (self._like, self._own, self._values, self._others)
+    return {_CLAIMS: dump_claims(tuple(claims)), RULES: placeless_digest(rules), TERMS: f"[{','.join(rows)}]"}
 
 
 # The authorities of all enclaves are the same.
@@ -346,7 +309,7 @@ def load_proof(stamp: Stamp, folder: str) -> tuple[tuple[Claim, ...], tuple[Vali
                 tuple((_moment(first), _moment(last)) for first, last in periods),
                 tuple(map(str, models)),
             )
-            for code, what, file, line, periods, models in json.loads(stamp.outputs.get(_TERMS, ""))
+            for code, what, file, line, periods, models in json.loads(stamp.outputs.get(TERMS, ""))
         )
         return load_claims(stamp.outputs.get(_CLAIMS, "")), terms
     except (ValueError, TypeError):

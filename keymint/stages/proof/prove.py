@@ -6,6 +6,7 @@ The proof of an enclave whose claims were all proven is cached until its files, 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -27,7 +28,7 @@ from keymint.stages.proof import proof_results
 from keymint.stages.proof.proof_results import EnclaveProof, ProofEffort, ProofResults
 from keymint.stages.proof.trust_anchors import anchors_of, shared_anchors, unread_of
 from keymint.stages.work import NewPackage, PackageStage
-from keymint.view.stamps import CompactMapping, Stamp, digest, digest_files
+from keymint.view.stamps import Stamp, digest, digest_files
 from keymint.workspace import package_build_types
 from keymint.workspace.installed_enclaves import enclave_digests, enclave_files, not_installed
 from keymint.workspace.package_build_types import SHARED
@@ -214,8 +215,11 @@ class ProofStage(PackageStage):
     ) -> Mapping[str, str]:
         """Return the record of a proof that is that of another one, but for the rules and the values of a package."""
         written = {proof_results.WRITTEN: digest(new.written)} if new.written else {}
-        own = CompactMapping.of({proof_results.RULES: proof_results.placeless_digest((new.rules,)), **written})
-        return proof_results.OutputsLike(first.stamp.outputs if first.stamp else {}, own, *values)
+        own = {proof_results.RULES: proof_results.placeless_digest((new.rules,)), **written}
+        outputs, names = first.stamp.outputs if first.stamp else {}, dict(zip(*values, strict=False))
+        found = re.compile("|".join(map(re.escape, sorted(names, key=len, reverse=True))) or "(?!)")
+        dates = found.sub(lambda value: names[value[0]], outputs.get(proof_results.TERMS, ""))
+        return {**outputs, **own, proof_results.TERMS: dates}
 
     def _across(self, name: str, names: Sequence[str]) -> EnclaveProof:
         """Prove the claims across the subjects of some packages of a build type, unless these are on record."""
@@ -273,7 +277,7 @@ class ProofStage(PackageStage):
         outputs = proof_results.dump_proof(proof.claims, proof.terms, rules, folder)
         if written := self._written(each.subject for each in rules):
             outputs = {**outputs, proof_results.WRITTEN: written}
-        stamp = Stamp(inputs, CompactMapping.of(outputs), context=self._policy_digest, build_types=build_types)
+        stamp = Stamp(inputs, outputs, context=self._policy_digest, build_types=build_types)
         return replace(proof, build_types=build_types, stamp=stamp)
 
     def _same_rules(self, stamp: Stamp, subjects: Iterable[str]) -> bool:
