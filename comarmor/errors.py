@@ -5,12 +5,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable
-from dataclasses import replace
 from enum import IntEnum, StrEnum
 from typing import Self, TypeVar
 
 from comarmor.regex import lazy_regex
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 
 _T = TypeVar("_T")
 Spot = tuple[str, int, int]

@@ -12,7 +12,7 @@ import dataclasses
 import operator
 import sys
 from collections.abc import Callable
-from dataclasses import MISSING, Field, field
+from dataclasses import MISSING, Field, field, replace
 from functools import cache, partial
 from types import MemberDescriptorType
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -27,7 +27,7 @@ else:
         return make if cls is None else make(cls)
 
 
-__all__ = ["dataclass"]
+__all__ = ["dataclass", "field", "replace"]
 _FEW = 50
 """Objects of a class that are made before its ``__init__`` is generated."""
 _DECLARED = "__declared__"

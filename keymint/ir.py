@@ -14,13 +14,12 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterable
-from dataclasses import field
 from functools import lru_cache
 from typing import Any, TypeVar
 
 from comarmor.patterns.tokens import SPECIAL
 from comarmor.rules import Effect, Rule
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field
 
 __all__ = ["Arguments", "DeferredRules", "Kind", "Rule", "SubjectRules", "kind_of", "once_of_kind"]
 

@@ -8,7 +8,6 @@ Such words are a union of cubes "matches p, and q, and none of these". This modu
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import field
 from functools import cached_property
 
 from comarmor.patterns.decision_lists import DecisionList, Universe
@@ -17,7 +16,7 @@ from comarmor.patterns.evaluate import Evaluator, shortest
 from comarmor.patterns.glob import Glob, literal, matcher
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.relations import disjoint, ends_differ
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field
 
 ROUNDS = 16
 """Searches of a cube with a part of its excluded patterns, before all of them are used."""

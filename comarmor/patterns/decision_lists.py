@@ -5,13 +5,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import field
 from functools import lru_cache
 
 from comarmor.patterns.glob import EVERYTHING, Glob
 from comarmor.patterns.steps import StepLimitError, spend, step_limit
 from comarmor.patterns.tokens import ANY, Charset
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,6 @@ in. Of two states with the same positive positions, the one with fewer excluded 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import field
 from functools import cache, partial
 from itertools import product
 
@@ -21,7 +20,7 @@ from comarmor.patterns.decision_lists import Universe
 from comarmor.patterns.glob import Glob, units
 from comarmor.patterns.steps import spend
 from comarmor.patterns.tokens import ANY, Charset, Star, distinct_letters
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field
 
 END = 0
 """The node that matches only the empty word."""

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from functools import cache, partial
 from itertools import chain
 
@@ -24,7 +23,7 @@ from comarmor.patterns.derivatives import Derivatives
 from comarmor.patterns.evaluate import Evaluator, permits, shortest
 from comarmor.patterns.glob import Glob, literal
 from comarmor.patterns.steps import spend
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 
 FIRST_STATES = 5_000
 STATES_PER_PATTERN = 20

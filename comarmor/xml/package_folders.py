@@ -8,12 +8,11 @@ import hashlib
 import os
 import stat
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import field
 from pathlib import Path
 
 from comarmor.errors import ComArmorError, Origin
 from comarmor.text import did_you_mean, quantity, quote
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field
 from comarmor.xml.sandboxed_paths import FOLLOW_LINKS, PACKAGE, SandboxedFolder, file_errors, is_package_name, path_text
 
 SEARCH_PATH = "AMENT_PREFIX_PATH"

@@ -10,11 +10,10 @@ from __future__ import annotations
 import posixpath
 import stat
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from keymint.adoption.keystore_policy import AdoptedPolicy
 from keymint.api import (
     AdoptedSources,

@@ -4,10 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from keymint.api import (
     ComparisonTask,
     DocumentComparison,

@@ -4,13 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
 from itertools import product
 
 from comarmor.patterns.decision_lists import Unknown
 from comarmor.patterns.glob import literal
 from comarmor.patterns.tokens import STAR
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from keymint.analysis.permission_changes import KEYS, PatternComparison, PermissionChange, Versions, rule_changes
 from keymint.analysis.rule_lists import SEPARATOR, pattern_text
 from keymint.analysis.subject_classes import ClassFinder

@@ -7,13 +7,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import field
 
 from comarmor.patterns.decision_lists import Equal, ProofResult, Unknown, Witness
 from comarmor.patterns.glob import Glob, literal, matches, right_quotient
 from comarmor.patterns.relations import disjoint
 from comarmor.rules import Effect, parts
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field
 from keymint.analysis.rule_lists import (
     allow_only,
     find_permitted,

@@ -8,7 +8,6 @@ rules where they matter, no member changes in another way, and no placeholder me
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
 from functools import partial
 from itertools import product
 
@@ -17,7 +16,7 @@ from comarmor.patterns.glob import Glob, literal, matches, normalise, parse, rig
 from comarmor.patterns.relations import TooComplexError, covers, disjoint, intersection, maximal
 from comarmor.patterns.tokens import STAR
 from comarmor.rules import PARTS, Effect, parts
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from keymint.analysis.permission_changes import KEYS, PatternComparison, PermissionChange, Versions
 from keymint.analysis.rule_lists import (
     PermissionKey,

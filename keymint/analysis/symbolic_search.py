@@ -10,7 +10,6 @@ depend on the subject overlap by coincidence. All queries of a command share a b
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import field
 from functools import lru_cache
 from itertools import count, product
 
@@ -29,7 +28,7 @@ from comarmor.patterns.glob import Glob, literal, matches, normalise, parse, wor
 from comarmor.patterns.proofs import difference
 from comarmor.patterns.relations import TooComplexError, intersection
 from comarmor.patterns.tokens import STAR, charset
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field
 from keymint.analysis.rule_lists import RAW, SEPARATOR, universe
 from keymint.analysis.subject_patterns import SubjectClass, example_subject
 from keymint.analysis.symbolic_rules import (

@@ -4,11 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import field
 from datetime import datetime
 from typing import TYPE_CHECKING
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field
 from keymint.api.graph import Edge
 from keymint.api.packages import Package
 from keymint.errors import Diagnostic, Origin

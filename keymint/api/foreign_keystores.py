@@ -5,11 +5,10 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import field
 from datetime import datetime
 from typing import Any
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field
 from keymint.api.packages import DomainRange, KeySpec, Package, Validity
 from keymint.api.policies import ImportedSubject
 from keymint.api.rights import Comparison, ComparisonTask, DocumentComparison

@@ -4,11 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import field
 from datetime import datetime
 from enum import StrEnum
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field
 from keymint.errors import Origin
 from keymint.ir import SubjectRules
 

@@ -6,12 +6,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from comarmor.rules import Expectation
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field
 from keymint.api.graph import Edge, Graph, Object
 from keymint.errors import Diagnostic, Origin, Reason
 from keymint.ir import Rule, SubjectRules

@@ -6,11 +6,10 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import field
 from datetime import datetime
 from pathlib import Path
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field
 from keymint.api.packages import Authority, AuthorityIssuance, Validity
 from keymint.api.policies import PolicySource
 

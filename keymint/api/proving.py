@@ -6,11 +6,10 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import field
 from datetime import datetime
 from enum import StrEnum
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field
 from keymint.api.graph import Edge
 from keymint.api.packages import DomainRange, Package
 from keymint.api.policies import PolicyDecision

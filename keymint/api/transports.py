@@ -5,13 +5,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import field
 from datetime import datetime
 from enum import StrEnum
 from pathlib import Path
 from typing import NoReturn
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field
 from keymint.api.graph import Column, Edge, Graph
 from keymint.errors import Diagnostic, KeymintError, Origin
 

@@ -7,11 +7,10 @@ The profile keeps what was decided about them. A private key may lie in a PKCS #
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import field, replace
 
 from cryptography import x509
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field, replace
 from keymint.api import Authority, AuthorityIssuance, SigningAuthority
 from keymint.authority import authority_files, examine
 from keymint.authority.authority_files import AuthorityFiles

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Sequence
-from dataclasses import field, replace
 from datetime import datetime
 
 from cryptography import x509
 
 from comarmor.text import did_you_mean
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field, replace
 from keymint.api import Authority, AuthorityIssuance, Implementation, Validity
 from keymint.authority import authorities, authority_files, examine
 from keymint.authority.authorities import STAGE, authority_named, plan_authorities, plan_authority_issuance

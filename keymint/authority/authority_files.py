@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import field
 
 from cryptography import x509
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field
 from keymint.api import Authority, CertificateSpec, Phase, Rollover
 from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.pki import certificates, distinguished_names, keys

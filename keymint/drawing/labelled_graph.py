@@ -11,13 +11,12 @@ import functools
 import itertools
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import field, replace
 from typing import NoReturn
 
 from comarmor.patterns import glob
 from comarmor.rules import PERMISSIONS
 from comarmor.text import did_you_mean, first_few
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field, replace
 from keymint.api import LoadedPolicy, PolicyDecision
 from keymint.api.graph import LABELLED, ConfusionMatrix, Edge, EdgeOutcome, Graph, Object, complete
 from keymint.errors import ExitCode, KeymintError, Origin

@@ -8,10 +8,9 @@ owner gives by hand: authorities are known by their keys, an enclave by its own 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import field
 from datetime import datetime
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field
 from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.pki import certificates, examine, keys
 from keymint.pki import revocation_lists as crl

@@ -9,14 +9,13 @@ enclaves share.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import field, replace
 from datetime import timedelta
 from functools import partial
 from itertools import chain
 from typing import Any, TypeVar
 
 from comarmor.regex import lazy_regex
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field, replace
 from keymint.api import BuildOptions, BuildType, Inspection, Package
 from keymint.authority.authority_files import elsewhere, trusted_chains
 from keymint.authority.examine import DECIDED_BY_A_PERSON

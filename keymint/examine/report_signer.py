@@ -22,8 +22,6 @@ from keymint.pki import certificates
 from keymint.pki.examine import KEY
 from keymint.workspace.session import Session
 
-_BEGIN = b"-----BEGIN CERTIFICATE-----"
-
 
 def report_signer(session: Session, name: str) -> certificates.Issuer:
     """Return the authority that signs a report, with its private key.
@@ -66,6 +64,6 @@ def _obeyed(session: Session, authority: Authority, certificate: x509.Certificat
         yield "it issued certificates of enclaves"
     for path, is_folder in chain(*map(session.tree.walk, (session.workspace.install, session.workspace.next_install))):
         content = b"" if is_folder or path.endswith(f"/{KEY}") else session.tree.read(path) or b""
-        found = certificates.load_bundle(content) if _BEGIN in content else ()
+        found = certificates.load_bundle(content) if certificates.BEGIN in content else ()
         if any(certificates.fingerprint(each) == key for each in found):
             yield f"{session.workspace.shown(path)} has its key, and robots may trust that file"

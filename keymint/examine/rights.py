@@ -39,7 +39,7 @@ from keymint.workspace.session import Session, once
 
 _MOST = 1 << 20
 """Largest file in bytes in which a certificate or a signed document is looked for."""
-_SIGNED, _CERTIFICATE = b"pkcs7-", b"-----BEGIN CERTIFICATE-----"
+_SIGNED = b"pkcs7-"
 _ACTION = "use of any signed document"
 
 
@@ -190,7 +190,7 @@ def _files(session: Session) -> Mapping[str, bytes]:
         if content[257:262] == b"ustar":
             with suppress(KeymintError):
                 found |= {f"{path}:{name}": each for name, each in bundle.unpack(content, Origin(path)).items()}
-        elif len(content) <= _MOST and (_SIGNED in content or _CERTIFICATE in content):
+        elif len(content) <= _MOST and (_SIGNED in content or certificates.BEGIN in content):
             found[path] = content
     return found
 
@@ -286,7 +286,7 @@ def _common_name(name: str) -> str:
 
 def _certificates(contents: Iterable[bytes]) -> Iterator[x509.Certificate]:
     """Yield the certificates of identities in some files, each once."""
-    for content in dict.fromkeys(each for each in contents if _CERTIFICATE in each):
+    for content in dict.fromkeys(each for each in contents if certificates.BEGIN in each):
         with suppress(KeymintError):
             yield from certificates.load_bundle(content)
 

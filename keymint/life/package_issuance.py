@@ -7,10 +7,9 @@ A revocation is written into the register as well, and raises the generation in 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 
 from comarmor.text import did_you_mean, quantity
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from keymint.api import Issuance
 from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.life.register import SUPERSEDED, IssuedCertificate, Register

@@ -8,12 +8,11 @@ authority is, so it is the authority that is due then.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
 from datetime import datetime
 
 from cryptography import x509
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from keymint.api import Issuance, Validity
 from keymint.authority.authority_files import in_order, with_issuers
 from keymint.errors import Defects

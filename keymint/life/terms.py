@@ -10,11 +10,10 @@ from __future__ import annotations
 import json
 import os.path
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from functools import lru_cache
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from keymint.api import Package, Validity, ValidityTerm
 from keymint.authority.authority_files import with_issuers
 from keymint.errors import Diagnostic, Origin, Severity

@@ -10,13 +10,12 @@ import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
 from datetime import datetime
 from operator import attrgetter
 from typing import IO, Any, TypeVar
 
 from comarmor.text import encodable_value, natural_order, one_line, printable_lines, quantity
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from keymint.errors import Diagnostic, ExitCode, Severity
 from keymint.host.streams_and_signals import Output
 from keymint.output.report import Report, report_json, rolled_up

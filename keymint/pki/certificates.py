@@ -6,7 +6,6 @@ from __future__ import annotations
 import base64
 import functools
 import re
-from dataclasses import field
 from datetime import datetime
 from typing import cast
 
@@ -17,7 +16,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from comarmor.regex import lazy_regex
 from comarmor.text import quote
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field
 from keymint.api import CertificateSpec
 from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.pki import certificate_forms, der, distinguished_names, extensions, keys
@@ -39,7 +38,9 @@ UNREADABLE = (
 )
 """What the library raises on a damaged certificate or revocation list."""
 _CERTIFICATE, _LIST = b"CERTIFICATE", b"X509 CRL"
-_PEM = b"-----BEGIN CERTIFICATE-----\n%b-----END CERTIFICATE-----\n"
+BEGIN = b"-----BEGIN CERTIFICATE-----"
+"""What a certificate in PEM begins with."""
+_PEM = BEGIN + b"\n%b-----END CERTIFICATE-----\n"
 _BLOCK = lazy_regex(rb"^-----BEGIN (%b|%b)-----\n[^-]*^-----END \1-----$" % (_CERTIFICATE, _LIST), re.MULTILINE)
 """A certificate, or a revocation list, which may follow the certificates of authorities in their file."""
 

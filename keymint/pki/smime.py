@@ -44,14 +44,13 @@ import hashlib
 import re
 from binascii import a2b_base64
 from collections.abc import Iterable, Sequence
-from dataclasses import field
 from datetime import datetime
 from typing import NoReturn
 
 from cryptography import x509
 
 from comarmor.regex import lazy_regex
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field
 from keymint import api
 from keymint.errors import KeymintError, Origin
 from keymint.pki import certificates, cms, der, examine, keys

@@ -52,7 +52,6 @@ _DIGEST = lazy_regex(r"[0-9a-f]{64}")
 _NONCE = lazy_regex(r"(?:[0-9a-f]{32})?")
 _FOLDER = lazy_regex(r"(?:[A-Za-z0-9][A-Za-z0-9_-]{0,99})?")
 _LIST = b"-----BEGIN X509 CRL-----"
-_CERTIFICATE = b"-----BEGIN CERTIFICATE-----"
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,7 +185,7 @@ def certificates_of_authorities(files: Mapping[str, bytes]) -> dict[str, tuple[x
     return {
         name: certificates.load_bundle(content)
         for name, content in files.items()
-        if name != CERTIFICATE and _CERTIFICATE in content and name.endswith(".pem")
+        if name != CERTIFICATE and certificates.BEGIN in content and name.endswith(".pem")
     }
 
 

@@ -9,12 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import field
 from pathlib import Path
 
 from cryptography import x509
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field
 from keymint.errors import KeymintError, Origin
 from keymint.names import ROOT
 from keymint.pki import certificates

@@ -15,11 +15,10 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import field, replace
 from itertools import chain, groupby
 from operator import and_, attrgetter
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field, replace
 from keymint.api import InstalledEnclave, Tier, Transport, Verdict
 from keymint.api.graph import ConfusionMatrix, Edge
 from keymint.errors import KeymintError

@@ -10,10 +10,9 @@ from __future__ import annotations
 import contextlib
 import tempfile
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from keymint.api import InstalledEnclave, Transport, Verdict
 from keymint.errors import Diagnostic, KeymintError
 from keymint.view.tree import Tree

@@ -11,12 +11,11 @@ rule on a raw topic and a DENY rule on the ROS topic that it carries match the s
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import lru_cache
 
 from comarmor.patterns import glob
 from comarmor.patterns.glob import matcher
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from keymint.api import LoadedPolicy, NameMapping, PolicyDecision
 from keymint.api.graph import Column, Edge
 

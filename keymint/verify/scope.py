@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import cache, lru_cache
 from itertools import groupby
 from operator import attrgetter
@@ -12,7 +11,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from comarmor.text import did_you_mean
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from keymint.api import BuildType, InstalledEnclave, LoadedPolicy, Package, Role, Transport
 from keymint.api.graph import LABELLED, Column, Edge, Graph, Object, column
 from keymint.errors import KeymintError

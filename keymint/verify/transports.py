@@ -5,9 +5,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from keymint.api import Availability, InstalledEnclave, Tier, Transport, Verdict
 from keymint.api.graph import Edge
 from keymint.api.plugin_loader import Plugins

@@ -13,10 +13,9 @@ import hashlib
 import itertools
 import json
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import field
 from typing import Any, NamedTuple, TypeVar
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field
 
 _V = TypeVar("_V")
 

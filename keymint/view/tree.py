@@ -11,11 +11,10 @@ import os
 import stat
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import field
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field
 from keymint.errors import KeymintError
 from keymint.view import file_reading
 from keymint.view.file_reading import (

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import stat
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import field, replace
 from pathlib import Path
 
 from cryptography import x509
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field, replace
 from keymint.api import Artifact, BuildType
 from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.host.shells import MARK

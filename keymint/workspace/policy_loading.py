@@ -5,10 +5,9 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from comarmor.xml.package_folders import CopiedPackages, PackageFolders
 from keymint.api import AppliedProfile, LoadedPolicy, PolicyDecision, PolicyStructure
 from keymint.api.graph import Edge

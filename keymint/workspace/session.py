@@ -5,13 +5,12 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping
-from dataclasses import field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
 from comarmor.text import did_you_mean
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field, replace
 from keymint import __version__
 from keymint.api import (
     BuildType,

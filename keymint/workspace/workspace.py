@@ -5,13 +5,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import lru_cache
 from itertools import accumulate, permutations
 from pathlib import Path
 
 from comarmor.text import quote
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from keymint import SPACES
 from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin
 from keymint.names import RESERVED, package_name

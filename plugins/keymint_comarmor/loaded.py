@@ -7,7 +7,6 @@ Also their structure as it is written, for analyses of subjects that they do not
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import field
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from typing import Any
 import comarmor
 from comarmor.language.policy import Ruling
 from comarmor.rules import Effect
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field
 from comarmor.xml.package_folders import ShippedFile
 from keymint.api import AppliedProfile, LoadedPolicy, PolicyDecision, PolicyStructure, WrittenProfile, WrittenRule
 from keymint.api.graph import Edge

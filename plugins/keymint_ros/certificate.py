@@ -7,13 +7,12 @@ Distinguished names may have placeholders, such as ``{name}``; braces have no ot
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import replace
 
 from lxml import etree
 
 from comarmor.regex import lazy_regex
 from comarmor.text import did_you_mean
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from comarmor.xml.reader import line
 from keymint.api import CertificateSpec, DomainRange, Extension, KeySpec, Validity
 from keymint.api.source_documents import domains, incomplete, place, require_new, text

@@ -11,13 +11,12 @@ A decision about certificates has a table of its fields, by which it is read and
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Container, Iterator, Mapping, Sequence
-from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
 from lxml import etree
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from keymint.api import AcceptedPackage, AuthorityIssuance, CertificateSpec, Issuance, Phase, Rollover
 from keymint.api.source_documents import Reader, place, require_new, text
 from keymint.errors import KeymintError, Origin, known_authority

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import replace
 from functools import lru_cache, partial
 from itertools import chain
 from typing import TypeVar
@@ -12,7 +11,7 @@ from typing import TypeVar
 from lxml import etree
 
 from comarmor.text import did_you_mean
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from keymint.api import (
     Authority,
     BuildType,

@@ -12,7 +12,6 @@ import hashlib
 import os.path
 import posixpath
 from collections.abc import Iterable
-from dataclasses import replace
 from functools import lru_cache, partial
 from urllib.parse import quote, unquote
 
@@ -22,7 +21,7 @@ from comarmor.language.attachments import strip
 from comarmor.patterns.expression import parse as parse_expression
 from comarmor.regex import lazy_regex
 from comarmor.rules import Effect
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from comarmor.xml import reader
 from comarmor.xml.reader import line
 from comarmor.xml.sandboxed_paths import PACKAGE

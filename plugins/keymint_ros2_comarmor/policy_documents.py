@@ -13,7 +13,6 @@ An existing policy is compared with the graph: edges that it denies, and permiss
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import field
 from pathlib import Path
 
 from keymint_comarmor.loaded import ComArmorPolicy
@@ -30,7 +29,7 @@ from comarmor.language.syntax import Attachment, Profile, ProfileRule
 from comarmor.patterns.expression import escape, matches
 from comarmor.rules import PERMISSIONS, Effect, Rule, parts
 from comarmor.text import quote
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field
 from comarmor.xml.reader import XINCLUDE
 from keymint.api import LearnedPolicy, LoadedPolicy
 from keymint.api.graph import Edge, Graph, general_expression, is_generated

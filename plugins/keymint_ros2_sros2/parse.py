@@ -11,7 +11,6 @@ from __future__ import annotations
 import os
 import posixpath
 from collections.abc import Iterator, Mapping
-from dataclasses import field, replace
 from pathlib import Path
 from types import MappingProxyType
 from xml.parsers import expat  # nosec - the document was read with limits and without a DOCTYPE before
@@ -24,7 +23,7 @@ from comarmor.language.source import load_tree
 from comarmor.regex import lazy_regex
 from comarmor.rules import Effect
 from comarmor.text import quote
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field, replace
 from comarmor.xml import schema
 from comarmor.xml.reader import XINCLUDE
 from comarmor.xml.sandboxed_paths import path_text

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import field, replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -20,7 +19,7 @@ from comarmor.language.syntax import Attachment, Inclusion, Profile, ProfileRule
 from comarmor.patterns.expression import literal
 from comarmor.rules import PERMISSIONS, Effect
 from comarmor.text import did_you_mean, quote
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field, replace
 from keymint.api import PolicySource
 from keymint.errors import KeymintError
 from keymint_ros2_table.files import read

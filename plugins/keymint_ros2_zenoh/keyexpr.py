@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import string
 from collections.abc import Iterable, Iterator
-from dataclasses import field
 from functools import lru_cache
 from itertools import islice, pairwise, product
 
@@ -30,7 +29,7 @@ from comarmor.patterns.glob import Glob
 from comarmor.patterns.possible_names import matches_ros_name
 from comarmor.patterns.tokens import Charset, Star, Token
 from comarmor.regex import lazy_regex
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field
 
 ANY_CHUNK = "*"
 ANY_CHUNKS = "**"

@@ -7,10 +7,9 @@ One authority issues identities, one signs the router's configuration.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import field
 from ipaddress import ip_address
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field
 from keymint.api import AuthorityRole, Implementation, Package
 from keymint.errors import Origin
 

@@ -4,14 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from cryptography import x509
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field, replace
 from keymint.api import Package, Phase
 from keymint.authority.authorities import MintedAuthority, plan_authorities
 from keymint.authority.rollover import phase_of

@@ -4,12 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import click
 
 from comarmor.regex import lazy_regex
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from keymint.command_line.options import Names, names_group, valid_for_option
 from keymint.command_line.verb import Report, Run, flag, option, option_group, verb
 from keymint.errors import usage_error

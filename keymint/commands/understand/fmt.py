@@ -5,13 +5,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from difflib import unified_diff
 from pathlib import Path
 from typing import Any
 
 from comarmor.text import quantity
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from comarmor.xml.reader import looks_like_xml
 from keymint.api import PolicyType
 from keymint.command_line.named_files import read_input, replace_inputs, user_path

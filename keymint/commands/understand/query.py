@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from itertools import islice, product
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from comarmor.patterns.glob import Glob, literal, matches, parse
 from comarmor.patterns.tokens import PatternError
 from comarmor.rules import PERMISSIONS, Effect, of_raw_topic
 from comarmor.text import did_you_mean, first_few, nearest_word, quantity
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from keymint.analysis.channels import Channel, ChannelSearch
 from keymint.analysis.query import FORMS, HEADS, PermissionHolder, effective_permissions, who_can
 from keymint.analysis.rule_lists import allow_only, display_name, find_permitted, query_pattern

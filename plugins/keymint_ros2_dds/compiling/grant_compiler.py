@@ -6,14 +6,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import field, replace
 
 from comarmor.patterns.expression import exact
 from comarmor.patterns.glob import Glob, sort_key
 from comarmor.patterns.relations import disjoint
 from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.rules import Effect
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field, replace
 from keymint.api import BuildOptions, Grant, Hint
 from keymint.errors import Diagnostic, KeymintError, Severity
 from keymint.ir import Rule

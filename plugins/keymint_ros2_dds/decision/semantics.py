@@ -11,13 +11,12 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import field, replace
 from datetime import UTC, datetime
 from enum import StrEnum
 from typing import Any
 
 from comarmor.patterns.tokens import Dialect
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field, replace
 from keymint_ros2_dds import subject_names
 from keymint_ros2_dds.lowering.name_mapping import DISTROS
 from keymint_ros2_dds.reading import dialects

@@ -11,7 +11,6 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import field
 from functools import lru_cache
 from itertools import chain, combinations, product
 
@@ -21,7 +20,7 @@ from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.patterns.tokens import ANY, Charset
 from comarmor.regex import lazy_regex
 from comarmor.rules import is_fully_qualified
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field
 from keymint.api import BuildOptions, Claim, DomainRange, Grant, Package, Validity
 from keymint.errors import KeymintError
 from keymint.ir import Arguments, Kind

@@ -12,7 +12,6 @@ comparison searches, case by case, for words that some lists permit and another 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
 from functools import lru_cache
 from itertools import chain
 
@@ -21,7 +20,7 @@ from comarmor.patterns.decision_lists import Block, DecisionList, Equal, ProofRe
 from comarmor.patterns.glob import EVERYTHING, Glob, matches, parse
 from comarmor.patterns.tokens import charset
 from comarmor.rules import Effect
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from keymint_ros2_dds.decision.semantics import Semantics, TopicCheck
 from keymint_ros2_dds.lowering.lowered_rules import Lowered, Partitions
 from keymint_ros2_dds.lowering.name_mapping import TopicAction

@@ -8,14 +8,13 @@ endpoint is a raw topic, and may be part of ROS entities; rules that match any o
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from dataclasses import replace
 from datetime import datetime
 
 from comarmor.patterns import glob
 from comarmor.patterns.decision_lists import SearchBudget
 from comarmor.patterns.glob import matches
 from comarmor.rules import Effect, is_fully_qualified, parts
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from keymint.api import ComparisonTask, Counterexample, DomainRange, Endpoint, PolicyDecision, Verdict
 from keymint.api.graph import Edge, Object
 from keymint.errors import Reason

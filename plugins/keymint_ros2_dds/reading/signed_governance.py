@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import lru_cache
 
 from lxml import etree
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from comarmor.xml.reader import line, parse
 from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint_ros2_dds.enclave_layout import GOVERNANCE, GOVERNANCE_XML

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
 from functools import cache, lru_cache
 from itertools import chain
 
@@ -17,7 +16,7 @@ from lxml import etree
 from comarmor.errors import ComArmorError, Diagnostic, Origin
 from comarmor.regex import lazy_regex
 from comarmor.text import quote
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from comarmor.xml.reader import line, parse
 from keymint.api import DomainRange
 from keymint.errors import KeymintError

@@ -10,10 +10,9 @@ endpoints, and permissions that also allow the empty partition admit those of ev
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
 from itertools import islice, tee
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from keymint.api import Availability, InstalledEnclave, Tier, Transport, Verdict
 from keymint.api.graph import Edge
 from keymint_ros2_dds.lowering.endpoints import endpoints

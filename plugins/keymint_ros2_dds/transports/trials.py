@@ -15,12 +15,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
-from dataclasses import replace
 from functools import partial
 from itertools import groupby, islice, repeat
 from typing import cast
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from keymint.api import InstalledEnclave, Verdict
 from keymint.api.graph import Edge
 from keymint.errors import KeymintError

@@ -22,10 +22,9 @@ import subprocess
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from keymint.host.vendor_process import MissingVendorError
 from keymint_ros2_dds.vendors import cyclone_access_control
 

@@ -164,7 +164,7 @@ class Automaton:
             if first == ANY_CHUNKS:
                 node = self._any_text(rest, starts=True, whole=True)
             elif first == ANY_CHUNK:
-                node = self._node({}, ((START, self._repeat(IN_CHUNK, self._text("/", rest))),))
+                node = self._node({}, ((START, self._repeat(self._text("/", rest))),))
             else:
                 node = self._chunk(first, self._text("/", rest))
             self._known[key] = node
@@ -176,7 +176,7 @@ class Automaton:
         if parts and chunk.startswith(VERBATIM):
             return self._node({}, ())  # compared as it is, and no literal key has a "$*"
         for part in reversed(parts):
-            rest = self._repeat(IN_CHUNK, self._text(part, rest))
+            rest = self._repeat(self._text(part, rest))
         return self._text(first, rest) if first else self._not_verbatim(rest)
 
     def _rest(self, tokens: tuple[str | Charset | Star, ...], *, starts: bool) -> int:
@@ -204,14 +204,14 @@ class Automaton:
             self._known[key] = self._add(_Node(chars, sets, accepts=False))
         return self._known[key]
 
-    def _repeat(self, members: Charset, rest: int) -> int:
-        """Return the node of any characters of a set, and the rest."""
-        key = ("repeat", members, rest)
+    def _repeat(self, rest: int) -> int:
+        """Return the node of any characters of a chunk, and the rest."""
+        key = ("repeat", rest)
         if key not in self._known:
             own = self._nodes[rest]
             node = len(self._nodes)
             self._known[key] = node
-            self._add(_Node(own.chars, (*own.sets, (members, node)), own.accepts))
+            self._add(_Node(own.chars, (*own.sets, (IN_CHUNK, node)), own.accepts))
         return self._known[key]
 
     def _not_verbatim(self, rest: int) -> int:

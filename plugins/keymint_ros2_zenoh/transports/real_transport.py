@@ -16,10 +16,9 @@ declaration of its receiver may get lost.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
 from itertools import chain, groupby
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from keymint.api import Availability, InstalledEnclave, Tier, Verdict
 from keymint.api.graph import Edge
 from keymint.host.vendor_process import VendorTransport

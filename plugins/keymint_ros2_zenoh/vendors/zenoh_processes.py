@@ -20,12 +20,11 @@ import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
 
 from comarmor.regex import lazy_regex
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from keymint.host.vendor_process import GRACE_SECONDS, CommandProcess, MissingVendorError, ProcessFailedError
 from keymint_ros2_zenoh.documents.configuration import Message
 
