@@ -184,7 +184,13 @@ class Probe:
     ) -> subprocess.CompletedProcess[bytes]:
         language = "c" if self.source.endswith(".c") else "c++"
         reading = ("-E", *options, "-include", header, "-x", language, os.devnull)
-        return _run([compiler, *self.arguments[:1], *self.folders, *reading], environment)
+        return _run_once((compiler, *self.arguments[:1], *self.folders, *reading), environment.get("PATH", os.defpath))
+
+
+@functools.cache
+def _run_once(command: tuple[str, ...], path: str) -> subprocess.CompletedProcess[bytes]:
+    """Run a preprocessor once in this process: a vendor's headers are megabytes, and asked for by several transports."""
+    return _run(command, {"PATH": path})
 
 
 def _run(command: Sequence[str], environment: Mapping[str, str]) -> subprocess.CompletedProcess[bytes]:
