@@ -189,7 +189,7 @@ class Probe:
 
 @functools.cache
 def _run_once(command: tuple[str, ...], path: str) -> subprocess.CompletedProcess[bytes]:
-    """Run a preprocessor once in this process: a vendor's headers are megabytes, and asked for by several transports."""
+    """Run a preprocessor once in this process: several transports ask for the same megabytes of headers."""
     return _run(command, {"PATH": path})
 
 
