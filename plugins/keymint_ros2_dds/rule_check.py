@@ -98,6 +98,8 @@ def check_node(rules: SubjectRules, distro: str) -> Iterator[Diagnostic]:
     if missing:
         message = f"a node of this subject cannot start on {release} with its default options: it may not "
         help_ = "include common/node.xml, unless it has no node, or one whose options switch these off"
+        if missing[-1].startswith("serve") and (node := _other_node(lists, rules.subject)):
+            help_ = f"allow ros_execute on {node}{_TYPES}: common/node.xml has that for a node {rules.subject} only"
         yield Diagnostic.note("node-cannot-start", message + ", ".join(missing), None, help_, rules.subject)
     server = _read_only(lists)
     if not missing and server is None and asked is not None and len(_quiet) < MOST:
@@ -140,6 +142,16 @@ def _may_serve(lists: _Lists, service: str, subject: str) -> bool:
         return True  # mostly it is that of the subject's own name
     needed = dict.fromkeys(_servers(lists, (("ros_service", "ros_execute", service),)))
     return not isinstance(difference((), *needed, _NAMES, universe=_ROS, budget=_BUDGET), Equal)
+
+
+def _other_node(lists: _Lists, subject: str) -> str | None:
+    """Return a node of another name than the subject that serves its parameters; None if the subject's own does so."""
+    serving = tuple(dict.fromkeys(_servers(lists, (("ros_service", "ros_execute", "/get_parameters"),))))
+    own = Block(True, (parse(subject),))
+    if all(permits(each, subject) for each in serving):
+        return None
+    found = escapes((*serving, _NAMES), (own,), _ROS, _BUDGET)
+    return found.word if isinstance(found, Witness) else None
 
 
 def _read_only(lists: _Lists) -> str | None:

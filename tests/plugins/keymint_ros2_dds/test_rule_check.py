@@ -120,6 +120,18 @@ def test_half_of_the_service_is_not_enough(tmp_path: Path) -> None:
     assert codes(tmp_path, *plain, half, rule("topic", "rr/ns/n/get_type_descriptionReply", "publish")) == []
 
 
+def test_a_node_that_has_another_name_than_its_subject_is_named_in_the_remedy(tmp_path: Path) -> None:
+    """``common/node.xml`` would grant the service of the subject's name; the note would go, and no node would start."""
+    plain = [rule(*each) for words, each in ASKED.items() if "type" not in words]
+    (found,) = notes(tmp_path, *plain, rule("ros_service", "/demo/x/get_parameters", "ros_execute"))
+    assert found.help == (
+        "allow ros_execute on /demo/x/get_type_description: common/node.xml has that for a node /ns/n only"
+    )
+    for own in ("/ns/n/get_parameters", "/*/get_parameters"):
+        (found,) = notes(tmp_path, *plain, rule("ros_service", own, "ros_execute"))
+        assert found.help.startswith("include common/node.xml")
+
+
 def test_an_endpoint_in_a_partition_is_another_one(tmp_path: Path) -> None:
     elsewhere = (
         '<topic qualifier="ALLOW"><attachment>ros_discovery_info</attachment>'
