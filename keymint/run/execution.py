@@ -457,8 +457,7 @@ def execute(
     if guards or plan.writes() or plan.state != inputs.state:
         changing = {step.package for step in plan.steps if step.package and step.writes()}
         store.begin(replace(intent, packages=tuple(sorted(changing))))
-        for guard in guards:  # before the first secret is written
-            store.change([guard])
+        store.change(guards)  # before the first secret is written
         # The record of a large fleet is made when all else is staged.
         staged = _staged(plan, lambda: (*log, FolderChange(folder, {RECORD: File(plan.state.dump())})), store, workers)
         visible = clock(folder)

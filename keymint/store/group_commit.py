@@ -30,6 +30,7 @@ from keymint.view.file_reading import SUFFIX, is_temporary
 
 WAITING = ".next"
 """Suffix of the name of a complete new folder whose place is being cleared."""
+_NONE: Mapping[int, bool] = {}
 
 
 def commit(
@@ -52,10 +53,10 @@ def commit(
     old: list[tuple[Exchange, str]] = []
     with OpenFolders(roots, create=False) as folders:
         try:
-            _sync(exchanges, folders, staged=True)
+            whole = _sync(exchanges, folders, staged=True)
             if ready is not None:
                 # Their temporary names must be durable as well, since the next run looks for them.
-                _sync(exchanges, folders, staged=False)
+                _sync(exchanges, folders, staged=False, done=whole)
                 recorded = True
                 ready(tuple(exchange for group in groups for exchange in group))
             for group in groups:
@@ -282,14 +283,25 @@ def _move_along(exchange: Exchange, moved: Exchange, folders: OpenFolders) -> No
 # -- durability --------------------------------------------------------------------------------------------------
 
 
-def _sync(exchanges: Sequence[Exchange], folders: OpenFolders, *, staged: bool) -> None:
-    """Synchronise what was staged, or the names that were exchanged."""
+def _sync(
+    exchanges: Sequence[Exchange], folders: OpenFolders, *, staged: bool, done: Mapping[int, bool] = _NONE
+) -> Mapping[int, bool]:
+    """Synchronise what was staged, or the names that were exchanged.
+
+    Args:
+        exchanges: the names.
+        folders: opens their folders.
+        staged: synchronise what was staged for them, else the names.
+        done: file systems by their number, with whether they were synchronised as a whole since.
+
+    Returns:
+        The same after it.
+    """
     of_folder: dict[str, list[Exchange]] = {}
     for exchange in exchanges:
         of_folder.setdefault(exchange.folder, []).append(exchange)
     size = sum(each.size for each in exchanges) if staged else len(of_folder)
-    done: dict[int, bool] = {}
-    """File systems by their number, with whether they were synchronised."""
+    done = dict(done)
     synced: set[str] = set()
     for folder, changing in of_folder.items():
         with reported(folder):
@@ -305,3 +317,4 @@ def _sync(exchanges: Sequence[Exchange], folders: OpenFolders, *, staged: bool) 
             for exchange in changing:
                 if exchange.staged is not None:
                     sync_tree(opened, exchange.staged)
+    return done
