@@ -22,10 +22,14 @@ from comarmor.patterns.tokens import Charset, Star
 from comarmor.rules import is_fully_qualified, is_subject
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
-from keymint.analysis.rule_lists import allow_only, find_permitted, overlap, pattern_text
-from keymint.api import LoadedPolicy, WrittenProfile, WrittenRule
+from keymint.api import LoadedPolicy, WrittenProfile, WrittenRule, lazy
 from keymint.ir import Rule
 
+# A run of the stages searches for no patterns.
+_allow_only = lazy("keymint.analysis.rule_lists:allow_only")
+_find_permitted = lazy("keymint.analysis.rule_lists:find_permitted")
+_overlap = lazy("keymint.analysis.rule_lists:overlap")
+_pattern_text = lazy("keymint.analysis.rule_lists:pattern_text")
 ROOT_ENCLAVE = "/"
 EVERY = parse("/*")
 """Matches every subject."""
@@ -56,7 +60,7 @@ class SubjectClass:
 
     def overlaps(self, patterns: Iterable[Glob]) -> list[Glob]:
         """Return the overlaps of patterns with the class, without those that the class surely excludes."""
-        pieces = (piece for one in patterns for piece in overlap(self.like, one))
+        pieces = (piece for one in patterns for piece in _overlap(self.like, one))
         return [piece for piece in pieces if not any(covers(each, piece) for each in self.excluded)]
 
 
@@ -119,7 +123,7 @@ def example_subject(pattern: Glob) -> str | None:
     legal = next((name for name in names if is_fully_qualified(name) and matches(pattern, name)), None)
     if legal is not None:
         return legal
-    outcome = find_permitted(_NODE, allow_only(pattern))
+    outcome = _find_permitted(_NODE, _allow_only(pattern))
     return outcome.word if isinstance(outcome, Witness) else None
 
 
@@ -151,7 +155,7 @@ def pattern_examples(policy: LoadedPolicy, given_up: list[str] | None = None) ->
         for subject in (example, _deeper(pattern, example) if depends and example else None):
             if subject is not None and subject not in taken:
                 taken.add(subject)
-                examples[subject] = pattern_text(pattern)
+                examples[subject] = _pattern_text(pattern)
     return examples
 
 
@@ -197,7 +201,7 @@ def expressions_for(clause: WrittenRule, subject: str) -> tuple[str, ...]:
 def _namespace_and_name(subject: str) -> tuple[str, str]:
     """Return both parts of the name of a subject as expressions."""
     head, _, last = subject.rpartition("/")
-    return pattern_text((f"{head}/",)), pattern_text((last,))
+    return _pattern_text((f"{head}/",)), _pattern_text((last,))
 
 
 def fixed_expressions(clause: WrittenRule) -> tuple[str, ...]:

@@ -26,7 +26,6 @@ from keymint.authority.authority_files import AuthorityFiles, authority_keys, ot
 from keymint.errors import Defects, Diagnostic, KeymintError, Origin
 from keymint.host.git import GIT_MISSING, run_git
 from keymint.life import terms
-from keymint.life.package_issuance import place_of
 from keymint.life.workspace_register import register_of
 from keymint.names import subject_of
 from keymint.pki import certificates, keys
@@ -138,10 +137,10 @@ def exposed_keys(session: Session) -> Iterator[Diagnostic]:
                 certificate = installed_certificate(session, name)
                 if certificate and fingerprint == certificates.fingerprint(certificate):
                     help_ = f"'keymint renew --rekey {name}', then {ends}"
-                    yield _exposed(whose, place_of(session, name), help_, subject_of(name))
+                    yield _exposed(whose, session.issuance_place(name), help_, subject_of(name))
                 elif any(each.key == fingerprint for each in register_of(session).in_force(name, session.now)):
                     whose = f"former {whose}, whose certificate is in force,"
-                    yield _exposed(whose, place_of(session, name), f"{ends} ends it", subject_of(name))
+                    yield _exposed(whose, session.issuance_place(name), f"{ends} ends it", subject_of(name))
 
 
 def _exposed(whose: str, where: Origin, help_: str, subject: str = "") -> Diagnostic:

@@ -17,7 +17,6 @@ from itertools import chain
 from keymint.api import BuildType, Counterexample, DocumentComparison, Package
 from keymint.authority.authority_files import authority_keys
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
-from keymint.life.package_issuance import place_of
 from keymint.life.terms import iso_time
 from keymint.life.workspace_register import register_of
 from keymint.names import subject_of
@@ -181,7 +180,7 @@ class Keyring:
         if owner or others:
             raise KeymintError(
                 f"the public key of {subject_of(name)} is that of {owner or subject_of(others[0])}",
-                where=place_of(self._session, name),
+                where=self._session.issuance_place(name),
                 help="make a new key with 'keymint request' on the machine of this subject, then run 'keymint sign'",
                 code="key-of-authority" if owner else "key-shared",
             )

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from comarmor.text import did_you_mean, quantity
 from comarmor.values import dataclass, replace
 from keymint.api import Issuance
-from keymint.errors import Diagnostic, KeymintError, Origin
+from keymint.errors import Diagnostic, KeymintError
 from keymint.life.register import SUPERSEDED, IssuedCertificate, Register
 from keymint.life.workspace_register import complete_register, register_change
 from keymint.names import subject_of
@@ -22,12 +22,6 @@ from keymint.workspace.session import Session
 
 _CREATE = "create"
 """Key of the record of the stage that made the packages."""
-
-
-def place_of(session: Session, name: str) -> Origin:
-    """Return the place of what the authority decided about a package, or of the package's manifest if it has none."""
-    file = session.package_type.ISSUANCE or session.package_type.MARKER
-    return session.workspace.origin(session.workspace.src / name / file)
 
 
 def plan_issuance(session: Session, stage: str, new: Mapping[str, Issuance], detail: str = "") -> Plan:
@@ -71,7 +65,7 @@ def _defects(session: Session, name: str, new: Issuance) -> Iterator[Diagnostic]
     before, subject = session.issuance(name), subject_of(name)
     if new.generation < before.generation:
         message = f"has generation {before.generation}, and would fall to {new.generation}"
-        where = place_of(session, name)
+        where = session.issuance_place(name)
         yield Diagnostic.error("generation-falls", message, where, "never lower a generation", subject)
         return
     identity = session.package(name).identity

@@ -11,16 +11,15 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import field, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from comarmor.errors import Diagnostic, Origin, Severity, citation
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint import SPACES
-from keymint.api import Environment
+from keymint.api import Environment, lazy
 from keymint.api.plugin_loader import Plugins
 from keymint.errors import ExitCode, KeymintError, UnconfirmedError
-from keymint.host.pool import Pool
 from keymint.host.streams_and_signals import StoppedError, received_signal
 from keymint.output.console import Console, Streams
 from keymint.output.report import Report, merged_diagnostics
@@ -37,6 +36,11 @@ from keymint.view.tree import HeldError, Tree, read_file
 from keymint.workspace.installed_enclaves import KEY
 from keymint.workspace.session import Inputs, Session
 from keymint.workspace.workspace import Workspace, find, missing_gitignores, shown_path
+
+if TYPE_CHECKING:
+    from keymint.host.pool import Pool
+
+_pool = lazy("keymint.host.pool:Pool")  # few runs divide work so
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,7 +235,8 @@ class Run:
     @property
     def pool(self) -> Pool:
         """The processes that carry out work that can be divided."""
-        return Pool(self.jobs)
+        pool: Pool = _pool(self.jobs)
+        return pool
 
     # -- what was interrupted ------------------------------------------------------------------------------------
 

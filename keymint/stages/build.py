@@ -12,7 +12,6 @@ from comarmor.text import quantity
 from keymint.api import BuildOptions, BuildResult, LoadedPolicy, Package
 from keymint.errors import KeymintError
 from keymint.life import terms
-from keymint.life.package_issuance import place_of
 from keymint.life.terms import Term
 from keymint.life.workspace_register import register_of
 from keymint.names import name_of, subject_of
@@ -301,7 +300,7 @@ def _key(session: Session, package: Package, *, rekey: bool, restore: bool) -> t
     if rekey and (package.issuance.public_key or package.identity.key.uri):
         raise KeymintError(
             f"the private key of {package.subject} is not here, so no other one is made for it",
-            where=place_of(session, package.name),
+            where=session.issuance_place(package.name),
             help="run 'keymint request' on the machine that is to have the key, then 'keymint sign' here",
             code="key-elsewhere",
         )

@@ -19,7 +19,6 @@ from keymint.api import Artifact, Credentials, Package, SigningAuthority
 from keymint.authority.authorities import Authorities, MintedAuthority
 from keymint.authority.authority_files import trusted_chains
 from keymint.errors import KeymintError, known_authority
-from keymint.life.package_issuance import place_of
 from keymint.life.register import SUPERSEDED, IssuedCertificate, Register
 from keymint.life.revocation_lists_in_force import enclave_lists
 from keymint.life.workspace_register import entry_of, has_register, issuer_of, outdated_register, register_of
@@ -91,7 +90,7 @@ def public_key(session: Session, package: Package) -> keys.PublicKey:
             is not known here.
     """
     if package.issuance.public_key:
-        return keys.public_from_pem(package.issuance.public_key, place_of(session, package.name))
+        return keys.public_from_pem(package.issuance.public_key, session.issuance_place(package.name))
     if is_awaited(package):
         raise KeymintError.of([replace(unknown_key(package), severity=Severity.ERROR)])
     pem, place = private_key(session, package), key_place(session, package.name)
@@ -288,9 +287,11 @@ def _require_generation(session: Session, package: Package, register: Register) 
         reason = next((each.reason for each in reversed(register.of(package.name)) if each.reason), SUPERSEDED)
         message = f"the sources have generation {own}, but generation {lowest} is the lowest that may be issued"
         help_ = f"restore the file; or 'keymint revoke {package.name} --reason {reason}' writes the generation again"
-        raise KeymintError(message, where=place_of(session, package.name), help=help_, code="generation-back")
+        raise KeymintError(message, where=session.issuance_place(package.name), help=help_, code="generation-back")
     if own > lowest and has_register(session):
-        lacks = f"the revocation that gave {package.subject} the generation {own} in {place_of(session, package.name)}"
+        lacks = (
+            f"the revocation that gave {package.subject} the generation {own} in {session.issuance_place(package.name)}"
+        )
         raise outdated_register(session, f"{lacks}: it is older, so the key may be one that was revoked")
 
 

@@ -12,7 +12,6 @@ from comarmor.values import dataclass
 from keymint.api import BuildOptions, LoadedPolicy, Role
 from keymint.authority import authorities
 from keymint.errors import KeymintError
-from keymint.life.package_issuance import place_of
 from keymint.life.renewal_schedule import CERTIFICATE, PERMISSIONS, enclave_terms, first_due
 from keymint.life.terms import DEFAULT, Term, recorded_terms
 from keymint.life.workspace_register import register_of, withdrawn
@@ -192,7 +191,7 @@ def renewable_packages(
             if rekey and session.issuance(name).public_key:
                 message = f"the private key of {subject_of(name)} is not here, so a new one must be made where it is"
                 help_ = "run 'keymint request' there, then 'keymint sign' here"
-                where = place_of(session, name)
+                where = session.issuance_place(name)
                 requests.append(Diagnostic.warning("request-needed", message, where, help_, subject_of(name)))
                 continue
             _require_certified(session, name, there, rekey=rekey)
@@ -214,7 +213,7 @@ def _require_certified(session: Session, name: str, there: Collection[str], *, r
                 f"the certificate of {subject_of(name)} was revoked ({reason}), and nothing is issued for its key again"
             )
             help_ = f"'keymint renew --rekey {name}' makes a new key"
-            raise KeymintError(message, where=place_of(session, name), help=help_, code="key-barred")
+            raise KeymintError(message, where=session.issuance_place(name), help=help_, code="key-barred")
     elif name not in there and not (rekey and register_of(session).of(name)):  # an enclave that was lost gets a new key
         raise KeymintError(
             f"the enclave {subject_of(name)} is not installed, so there is nothing to renew",

@@ -16,11 +16,10 @@ from typing import Any, cast
 
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
-from keymint.api import LoadedPolicy, Role
+from keymint.api import LoadedPolicy, Role, lazy
 from keymint.authority.authorities import Authorities, plan_authorities
 from keymint.authority.authority_files import current_rollover, trusted_chains
 from keymint.life.examine import RIGHTS_OUTLIVE
-from keymint.life.package_issuance import plan_revocation
 from keymint.life.register import SUPERSEDED
 from keymint.life.revocation_lists_in_force import enclave_lists, plan_lists, require_nothing_lost
 from keymint.life.workspace_register import complete_register
@@ -47,6 +46,7 @@ from keymint.workspace.package_build_types import (
 from keymint.workspace.policy_loading import policy_in_force
 from keymint.workspace.session import Session, once
 
+_plan_revocation = lazy("keymint.life.package_issuance:plan_revocation")  # few runs revoke
 CREATE, INSTALL, PROVE = CreateStage.NAME, InstallStage.NAME, ProofStage.NAME
 AUTHORITIES, LISTS = "authorities", "lists"
 """Parts of the work beside the stages: the keys and certificates of authorities, and their revocation lists."""
@@ -337,7 +337,7 @@ def _superseding(session: Session, installed: Plan, request: Request) -> Request
     found = dict.fromkeys(name_of(each.subject) for each in installed.diagnostics if each.code == RIGHTS_OUTLIVE)
     if not asked or not found or request.beside:
         return None
-    revoking = plan_revocation(session, tuple(found), SUPERSEDED)
+    revoking = _plan_revocation(session, tuple(found), SUPERSEDED)
     if not revoking.plan.writes():
         return None
     change = revoking.plan.noting(*revoking.diagnostics)

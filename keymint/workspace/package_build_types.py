@@ -154,13 +154,14 @@ def shared_builder(session: Session, name: str) -> BuildType | None:
 
 def may_share(session: Session, names: Iterable[str]) -> bool:
     """Tell whether packages may have documents that depend on other packages: cautious, and reads manifests only."""
-    sharing = {name for name in session.plugins.names("keymint.build_types") if shared_builder(session, name)}
-    if not sharing.isdisjoint(session.profile.build_types) or session.infrastructure():
+    if session.infrastructure():
         return True
-    texts = [name.encode() for name in sharing]
     marker = session.package_type.MARKER
     manifests = {session.tree.try_read(session.workspace.src / name / marker) or b"" for name in names}
-    return any(text in manifest for manifest in manifests for text in texts)
+    named = {*session.profile.build_types}
+    for each in session.plugins.names("keymint.build_types"):
+        named |= {each} if any(each.encode() in manifest for manifest in manifests) else set()
+    return any(shared_builder(session, each) for each in named)
 
 
 # -- documents over all packages of a build type ---------------------------------------------------------------------

@@ -334,6 +334,11 @@ class Session(Inputs):
         folder = self.workspace.src / name
         return self.package_type.issuance(self.workspace.shown(folder), {file: self.tree.read(folder / file) or b""})
 
+    def issuance_place(self, name: str) -> Origin:
+        """Return the place of what the authority decided about a package, or of its manifest if it has none."""
+        file = self.package_type.ISSUANCE or self.package_type.MARKER
+        return self.workspace.origin(self.workspace.src / name / file)
+
     def role(self, name: str) -> Role:
         """Return why a package exists; the role of a subject if there is none or its manifest has defects."""
         marker = f"{self.workspace.src}/{name}/{self.package_type.MARKER}"

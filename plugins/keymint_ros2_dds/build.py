@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from keymint.api import BuildOptions, BuildResult, Package
+from keymint.api import BuildOptions, BuildResult, Package, lazy
 from keymint.errors import Defects, Diagnostic, KeymintError, Severity
 from keymint.pki import distinguished_names
 from keymint_ros2_dds import governance_warnings, vendor_limits
@@ -13,9 +13,12 @@ from keymint_ros2_dds.documents import governance_document
 from keymint_ros2_dds.domains import in_words, uncovered_domains
 from keymint_ros2_dds.emit.kind_members import emit_by_kind
 from keymint_ros2_dds.enclave_layout import GOVERNANCE, GOVERNANCE_XML, PERMISSIONS, PERMISSIONS_XML
-from keymint_ros2_dds.keystores import foreign_documents
 from keymint_ros2_dds.proving import enclave_governance
 from keymint_ros2_dds.settings import settings_of, validity_of
+
+# Only packages that were adopted keep documents.
+_kept_permissions = lazy("keymint_ros2_dds.keystores.foreign_documents:kept_permissions")
+_kept_governance = lazy("keymint_ros2_dds.keystores.foreign_documents:kept_governance")
 
 
 def build(package: Package, options: BuildOptions) -> BuildResult:
@@ -32,11 +35,11 @@ def build(package: Package, options: BuildOptions) -> BuildResult:
     defects, notes = Defects(), list[Diagnostic]()
     emitted, governance = None, b""
     with defects:
-        emitted = foreign_documents.kept_permissions(package) or emit_by_kind(package, options)
+        emitted = (_kept_permissions(package) if package.kept else None) or emit_by_kind(package, options)
         notes += emitted.diagnostics
     with defects:
         governance, remarks = governance_document.build(package, allow_vendor_specific=lenient)
-        governance = foreign_documents.kept_governance(package, governance)
+        governance = _kept_governance(package, governance) if package.kept else governance
         notes += (*remarks, *governance_warnings.findings(package, emitted.lowered if emitted else None))
     defects.found += [item for item in checks if item.severity is Severity.ERROR]
     if defects.found or emitted is None:

@@ -16,11 +16,11 @@ from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.patterns.tokens import STAR, Star
 from comarmor.rules import Effect
 from comarmor.text import first_few
-from keymint.analysis.lint.findings import undecided_note
 from keymint.analysis.subject_patterns import fixed_expressions, profile_chain
-from keymint.api import PolicyStructure, WrittenProfile, WrittenRule
+from keymint.api import PolicyStructure, WrittenProfile, WrittenRule, lazy
 from keymint.errors import Diagnostic
 
+_undecided_note = lazy("keymint.analysis.lint.findings:undecided_note")
 STEPS = 2_000_000
 """Maximum steps of the search for subjects that a wildcard matches."""
 
@@ -84,7 +84,7 @@ def _wide(profiles: Sequence[WrittenProfile], clauses: Iterable[WrittenRule]) ->
             with step_limit(STEPS):
                 gaining = list(_gaining(each, near.meeting(glob), rights))
         except StepLimitError as limit:
-            yield undecided_note(
+            yield _undecided_note(
                 f"the subjects that profile {each.name!r} gets by {text!r} are unknown: {limit}",
                 each.where,
                 "attach it to fewer subjects, or lint parts of the policy",

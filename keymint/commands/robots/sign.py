@@ -20,7 +20,7 @@ from keymint.commands.robots.accept import fingerprint
 from keymint.commands.robots.bundle import MadeBundle, plan_bundles, require_output, write_bundles
 from keymint.errors import Defects, KeymintError, Origin, usage_error
 from keymint.life.examine import Keyring
-from keymint.life.package_issuance import place_of, plan_issuance
+from keymint.life.package_issuance import plan_issuance
 from keymint.life.workspace_register import register_of
 from keymint.names import package_name, subject_of
 from keymint.pki import keys
@@ -170,7 +170,7 @@ def _package(session: Session, request: CertificationRequest, where: Origin, fin
 def current_fingerprint(session: Session, name: str) -> str:
     """Return the fingerprint of the key that a package has, wherever it is; empty if it has none yet."""
     if public := session.issuance(name).public_key:
-        return keys.fingerprint(keys.public_from_pem(public, place_of(session, name)))
+        return keys.fingerprint(keys.public_from_pem(public, session.issuance_place(name)))
     return known_fingerprint(session, name)
 
 

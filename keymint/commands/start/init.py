@@ -186,7 +186,7 @@ def _build_types_for(plugins: Plugins, transports: Sequence[str]) -> tuple[str, 
     Raises:
         KeymintError: no installed build type is for a transport, or several are.
     """
-    known = _by_transport(plugins)
+    known = _by_transport(plugins) if transports else {}
     for transport in transports:
         if transport not in known:
             choice = f"installed are {', '.join(known)}"

@@ -11,13 +11,13 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from contextlib import suppress
 from dataclasses import replace
 from itertools import chain
+from typing import TYPE_CHECKING
 
 from comarmor.errors import Defects, Diagnostic, Severity
 from keymint import __version__, api
 from keymint.authority.authority_files import chains_digest, trusted_chains
 from keymint.authority.examine import contradictions_for
 from keymint.errors import KeymintError
-from keymint.host.pool import Pool
 from keymint.ir import SubjectRules
 from keymint.life import terms
 from keymint.life.workspace_register import withdrawn
@@ -33,6 +33,9 @@ from keymint.workspace import package_build_types
 from keymint.workspace.installed_enclaves import enclave_digests, enclave_files, not_installed
 from keymint.workspace.package_build_types import SHARED
 from keymint.workspace.session import Session
+
+if TYPE_CHECKING:
+    from keymint.host.pool import Pool
 
 STAGE = "prove"
 LEAST = 50

@@ -13,18 +13,18 @@ from comarmor.patterns.relations import disjoint
 from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.rules import Effect
 from comarmor.values import dataclass, field, replace
-from keymint.api import BuildOptions, Grant, Hint
+from keymint.api import BuildOptions, Grant, Hint, lazy
 from keymint.errors import Diagnostic, KeymintError, Severity
 from keymint.ir import Rule
 from keymint_ros2_dds.compiling import partitions
 from keymint_ros2_dds.compiling.partitions import UnportableError
 from keymint_ros2_dds.compiling.rewriting import GUARD, EndpointCounts, gathered_rules, prioritised_rules
 from keymint_ros2_dds.compiling.rule_order import portable_rules, rule_per_policy_rule, standard_rules
-from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.lowering.lowered_rules import GrantRule, Lowered, lower
 from keymint_ros2_dds.lowering.name_mapping import TopicAction, check_distro, has_kind
 from keymint_ros2_dds.lowering.portable_expressions import NotPortableError, portable_expressions
 
+_endpoints = lazy("keymint_ros2_dds.lowering.endpoints:endpoints")
 STEPS = 4_000_000
 """Steps that ordering the rules of a subject may take (:mod:`comarmor.patterns.steps`)."""
 
@@ -109,7 +109,7 @@ def _endpoint_counts(hints: Iterable[Hint], distro: str) -> EndpointCounts:
     for each in hints:
         if not has_kind(distro, each.edge.object.kind):
             continue  # no subject can request it in this distribution
-        for endpoint in endpoints(distro, each.edge):
+        for endpoint in _endpoints(distro, each.edge):
             for partition in endpoint.object.partitions or ("",):
                 counts[endpoint.permission, endpoint.object.name, partition] += each.times
     return counts

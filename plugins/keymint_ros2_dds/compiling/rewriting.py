@@ -19,10 +19,13 @@ from comarmor.patterns import glob
 from comarmor.patterns.glob import matcher, matches
 from comarmor.patterns.relations import all_disjoint
 from comarmor.rules import Effect
-from keymint.keymake.gather import gather, similar
+from keymint.api import lazy
 from keymint_ros2_dds.lowering.lowered_rules import DEFAULT, EVERY, GrantRule, Partitions, is_name, with_leading_allow
 from keymint_ros2_dds.lowering.name_mapping import TopicAction
 
+# Few documents are large enough.
+_gather = lazy("keymint.keymake.gather:gather")
+_similar = lazy("keymint.keymake.gather:similar")
 GUARD = "*]*"
 """The names that match on Cyclone DDS and not by the standard."""
 MIN_SAVED = 1_024
@@ -61,7 +64,7 @@ def gathered_rules(rules: Sequence[GrantRule[str]], *, min_saved: int | None = N
         topics = dict(rule.topics)
         for action in _ACTIONS if rule.effect is Effect.ALLOW else ():
             names = [text for text in topics.get(action, ()) if text in movable]
-            sets = [pattern for pattern in gather(names) if any(len(members) > 1 for members in pattern)]
+            sets = [pattern for pattern in _gather(names) if any(len(members) > 1 for members in pattern)]
             if sets:
                 members = {"".join(letters) for pattern in sets for letters in product(*pattern)}
                 topics[action] = tuple(text for text in topics[action] if text not in members)
@@ -130,7 +133,7 @@ def _most_shared(rules: Iterable[GrantRule[str]]) -> int:
     for rule in rules:
         for action in _ACTIONS if rule.effect is Effect.ALLOW else ():
             texts = rule.topics.get(action, ())
-            close = similar(texts)
+            close = _similar(texts)
             most += sum(_TOPIC + len(text) for text in close)
             most += _RULE + _CRITERIA if len(close) == len(texts) else 0
     return most

@@ -13,8 +13,7 @@ from functools import partial
 from comarmor.patterns.decision_lists import ProofResult, Unknown, Witness
 from comarmor.patterns.proofs import escapes
 from comarmor.patterns.tokens import PatternError
-from keymint.api import Claim, ComparisonTask, DomainRange, Proof
-from keymint_ros2_dds.decision.evaluator import DomainAccess
+from keymint.api import Claim, ComparisonTask, DomainRange, Proof, lazy
 from keymint_ros2_dds.decision.semantics import VARIATIONS, Semantics, shipped_models
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.domains import merged_domains
@@ -28,6 +27,7 @@ from keymint_ros2_dds.proving.questions import Counterexamples, ProofQuestion, S
 from keymint_ros2_dds.reading import signed_permissions
 from keymint_ros2_dds.reading.signed_governance import DocumentDomainRule
 
+_domain_access = lazy("keymint_ros2_dds.decision.evaluator:DomainAccess")  # few governances say more than the usual
 _ALWAYS = (
     "only the governance in the subject's own enclave applies: a participant's local checks read no other",
     "packets are protected as the governance requires: where it neither signs nor encrypts, the network is trusted",
@@ -133,7 +133,8 @@ class _Model:
         """Return the rule of the governance for a domain; None also if the proof is about permissions only."""
         if self._governance is None:
             return None
-        return DomainAccess(self._governance.document, domain, self._semantics).rule
+        rule: DocumentDomainRule | None = _domain_access(self._governance.document, domain, self._semantics).rule
+        return rule
 
     def _domains(self) -> Iterator[tuple[tuple[DomainRange, ...], bool]]:
         """Yield groups of domains with the same policy and rules, and whether the policy applies there."""
@@ -190,7 +191,7 @@ class _Model:
         own = lists.of_grant(grant, domain, action, semantics, pairs=pairs)
         if governance is None:
             return lists.Permitted(own)
-        governed = DomainAccess(governance.document, domain, semantics)
+        governed = _domain_access(governance.document, domain, semantics)
         if governed.rule is None:
             return lists.Permitted(own, lists.REFUSED) if inside else lists.Permitted(own)
         default = semantics.default_counts and grant.allows

@@ -19,7 +19,6 @@ from comarmor.patterns.tokens import PatternError
 from comarmor.values import dataclass
 from keymint import api
 from keymint.errors import Reason
-from keymint_ros2_dds.decision.evaluator import DomainAccess
 from keymint_ros2_dds.decision.semantics import STANDARD, Semantics, Variation
 from keymint_ros2_dds.documents import governance_document
 from keymint_ros2_dds.proving import octets
@@ -29,6 +28,7 @@ from keymint_ros2_dds.reading.signed_governance import ACCESS, JOIN, UNAUTHENTIC
 from keymint_ros2_dds.reading.signed_permissions import DocumentDomains
 from keymint_ros2_dds.settings import settings_of
 
+_domain_access = api.lazy("keymint_ros2_dds.decision.evaluator:DomainAccess")
 ACTIONS = ("publish", "subscribe")
 LAST_DOMAIN = 232
 """The highest domain id whose ports exist for any participant (DDSI-RTPS 2.3, 9.6.1.1)."""
@@ -206,7 +206,7 @@ def governance_claims(
 
     for domains in cuts(governance.domains()):
         first = domains.first
-        rule = DomainAccess(governance.document, first, variation.semantics).rule
+        rule = _domain_access(governance.document, first, variation.semantics).rule
         if rule is None:
             continue
         own, accepted = governance.source_rule(first), governance.accepted_rule(first)

@@ -15,14 +15,12 @@ from comarmor.patterns.decision_lists import SearchBudget
 from comarmor.patterns.glob import matches
 from comarmor.rules import Effect, is_fully_qualified, parts
 from comarmor.values import dataclass, replace
-from keymint.api import ComparisonTask, Counterexample, DomainRange, Endpoint, PolicyDecision, Verdict
+from keymint.api import ComparisonTask, Counterexample, DomainRange, Endpoint, PolicyDecision, Verdict, lazy
 from keymint.api.graph import Edge, Object
 from keymint.errors import Reason
 from keymint.ir import Rule, SubjectRules
 from keymint_ros2_dds.decision import semantics
-from keymint_ros2_dds.decision.evaluator import DocumentEvaluator, DomainAccess
 from keymint_ros2_dds.decision.semantics import Semantics, Variation
-from keymint_ros2_dds.lowering.endpoints import meanings
 from keymint_ros2_dds.lowering.lowered_rules import Lowered
 from keymint_ros2_dds.lowering.name_mapping import ARDENT, TopicAction
 from keymint_ros2_dds.proving import enclave_governance, octets
@@ -30,6 +28,11 @@ from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance, cuts
 from keymint_ros2_dds.proving.grant_periods import GrantPeriod
 from keymint_ros2_dds.reading import dialects
 from keymint_ros2_dds.reading.signed_permissions import DocumentRule, PermissionsDocument
+
+# Only a name on which a document is wrong is evaluated.
+_meanings = lazy("keymint_ros2_dds.lowering.endpoints:meanings")
+_document_evaluator = lazy("keymint_ros2_dds.decision.evaluator:DocumentEvaluator")
+_domain_access = lazy("keymint_ros2_dds.decision.evaluator:DomainAccess")
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +83,7 @@ def endpoint_edges(subject: str, distro: str, action: str, topic: str, partition
     """Return the edge of an endpoint, and those of the ROS entities that need it."""
     partitions = (partition,) if partition or distro == ARDENT else ()
     endpoint = Edge(subject, action, Object("topic", topic, partitions))
-    return (endpoint, *meanings(distro, endpoint))
+    return (endpoint, *_meanings(distro, endpoint))
 
 
 def _is_about(rule: Rule, edge: Edge, partition: str) -> bool:
@@ -181,12 +184,14 @@ class Counterexamples:
         endpoint = situation.action, topic, (partition,) if partition else ()
 
         def ask(variation: Variation) -> Verdict:
-            evaluator = DocumentEvaluator(question.document, question.task.subject_name, now, domain, variation)
+            evaluator = _document_evaluator(question.document, question.task.subject_name, now, domain, variation)
+            alone: Verdict = evaluator.decide(*endpoint)
             if governance is None:
-                return evaluator.decide(*endpoint)
-            governed = DomainAccess(governance.document, domain, variation.semantics)
-            outcome = governed.decide(evaluator, *endpoint)
-            if not outcome.allowed and permitted and (alone := evaluator.decide(*endpoint)).allowed:
+                return alone
+            outcome: Verdict = _domain_access(governance.document, domain, variation.semantics).decide(
+                evaluator, *endpoint
+            )
+            if not outcome.allowed and permitted and alone.allowed:
                 reason = f"{alone.reason}; only the governance of this enclave refuses it: peers evaluate their own"
                 return replace(alone, reason=reason)
             return outcome
