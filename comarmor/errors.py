@@ -32,7 +32,7 @@ _LIBRARY = lazy_regex(
 
 def library_name(file: str) -> str | None:
     """Return the name by which policies include a file of the shipped library, or None for any other file."""
-    match = _LIBRARY.fullmatch(file)
+    match = _LIBRARY.fullmatch(file) if "/comarmor.d/" in file else None
     return match[1] if match else None
 
 

@@ -113,8 +113,10 @@ def entries_of(metadata: str) -> Iterator[PluginInfo]:
     Args:
         metadata: its folder of metadata; if that is damaged, it must not hide a plugin.
     """
+    if not os.path.lexists(file := f"{metadata}/entry_points.txt"):  # as most have none, the cheapest question
+        return
     try:
-        text = Path(metadata, "entry_points.txt").read_text(encoding="utf-8")
+        text = Path(file).read_text(encoding="utf-8")
     except (OSError, ValueError):
         return
     if "[keymint." not in text:

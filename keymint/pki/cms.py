@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
-from typing import NamedTuple, cast
+from typing import cast
 
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
@@ -32,7 +32,8 @@ def _algorithm(dotted: str) -> tuple[bytes, bytes]:
     return der.tlv(der.SEQUENCE, identifier, der.tlv(der.NULL)), der.tlv(der.SEQUENCE, identifier)
 
 
-class _Digest(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class _Digest:
     """A digest, and the encodings of its AlgorithmIdentifier alone and with ECDSA."""
 
     algorithm: hashes.SHA256 | hashes.SHA384 | hashes.SHA512

@@ -22,12 +22,14 @@ import os
 import stat
 import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict
 from datetime import datetime
 from itertools import takewhile
 from operator import attrgetter
 from typing import Any, NamedTuple
 
 from comarmor.regex import lazy_regex
+from comarmor.values import dataclass
 from keymint import __version__
 from keymint.view.stamps import one_of, sealed_document, unsealed_document
 
@@ -54,7 +56,8 @@ _WHOLE = "provision"
 _STATUS = attrgetter("st_mode", "st_uid", "st_gid", "st_size", "st_mtime_ns", "st_ctime_ns", "st_ino", "st_dev")
 
 
-class Call(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Call:
     """A command, and where it is given.
 
     Attributes:
@@ -80,7 +83,8 @@ class Call(NamedTuple):
     user_defaults: str = ""
 
 
-class Answer(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Answer:
     """What a command will print if nothing changes.
 
     Attributes:
@@ -256,7 +260,7 @@ def record(
             "real": {path: _real(call, path) for path in (*operands, *sight.roots)},
             "status": {state: own[0]} | {path: status for path, (status, _) in others.items()},
             "spaces": sight.roots,
-            **answer._asdict(),
+            **asdict(answer),
         }
     )
     return own_record + sealed_document(
@@ -465,7 +469,8 @@ def folder_status(
     return FolderStatus(_digest([owner, *map(files.__getitem__, names)]), newest, names, tuple(sorted(folders)))
 
 
-class Sight(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Sight:
     """The folders of a workspace as they are before a run reads a file.
 
     Attributes:

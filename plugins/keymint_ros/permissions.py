@@ -373,6 +373,8 @@ def _relative(file: str, base: str) -> str:
         file = file.removeprefix(base)
     elif not file.startswith(("/", PACKAGE)) and not base.startswith("/"):
         file = os.path.relpath(file, base)
+    if file.isprintable() and "%" not in file and ";" not in file:
+        return file
     return _UNSAFE.sub(lambda match: quote(match.group(), safe="", errors="surrogateescape"), file)
 
 

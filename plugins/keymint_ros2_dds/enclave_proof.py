@@ -5,15 +5,15 @@ from __future__ import annotations
 
 from keymint.api import Claim, ComparisonTask, EnclaveFiles, ProofTask, ValidityTerm
 from keymint.errors import KeymintError, Origin
-from keymint.pki import smime
+from keymint.pki import certificates, smime
 from keymint.pki.examine import enclave_file
+from keymint_ros2_dds import subject_names
 from keymint_ros2_dds.decision.semantics import OMG, shipped_models
 from keymint_ros2_dds.enclave_layout import CERTIFICATE, GOVERNANCE, PERMISSIONS, PERMISSIONS_ROLE
 from keymint_ros2_dds.examine.enclave_rules import differences
 from keymint_ros2_dds.proving import grant_periods
 from keymint_ros2_dds.proving.claims import prove_content
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance
-from keymint_ros2_dds.transports.enclave_files import subject_name
 
 _Question = tuple[ComparisonTask, EnclaveGovernance, tuple[str, ...]]
 """What the claims about an enclave depend on, once its files are verified: document, governance, and models."""
@@ -72,4 +72,4 @@ def _signed(enclave: EnclaveFiles, kind: str, *, unsigned: bool = False) -> tupl
 
 def _subject_name(enclave: EnclaveFiles) -> str:
     file = enclave_file(enclave.files, enclave.folder, CERTIFICATE)
-    return subject_name(file, Origin(f"{enclave.folder}/{CERTIFICATE}"))
+    return subject_names.of_any(certificates.load(file, Origin(f"{enclave.folder}/{CERTIFICATE}")).subject)

@@ -199,7 +199,8 @@ def quirks_of_bytes(content: bytes, *, comments_until: int | None = None) -> Ite
             yield Quirk(1, f"text in the encoding {encoding[1].decode('latin-1')}", UNMODELLED, UNMODELLED)
         rest = _line_ends(declaration[0]) + rest[declaration.end() :]
     end = max(end - len(content) + len(rest), 0)
-    rest = _COMMENTS.sub(lambda match: match[1] + _line_ends(match[2]), rest[:end]) + rest[end:]
+    if b"<!--" in rest:
+        rest = _COMMENTS.sub(lambda match: match[1] + _line_ends(match[2]), rest[:end]) + rest[end:]
     rest = _ATTRIBUTES.sub(lambda match: _line_ends(match[0]), rest)
     for expression, text, cyclone, fast in _MARKUP:
         match = expression.search(rest)
