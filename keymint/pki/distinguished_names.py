@@ -135,13 +135,15 @@ def written_name(text: str) -> WrittenName:
         name = _parsed(text)
         plain = tuple(value for _, value in attributes(name) if _PLAIN.fullmatch(value))
         return WrittenName(name.public_bytes(), to_text(name), plain)
-    values, encoded = list[str](), b""
+    values, encoded = list[str](), list[bytes]()
     for part in text.split(","):
         kind, _, value = part.partition("=")
-        attribute = der.tlv(der.SEQUENCE, _USUAL_TYPES[kind], der.tlv(der.UTF8_STRING, value.encode()))
-        encoded += der.tlv(der.SET, attribute)
+        # Each part of a SET of a SEQUENCE of type and UTF8String is so short that its length takes one byte.
+        type_, size = _USUAL_TYPES[kind], len(value)
+        around, own = len(type_) + size + 2, (der.UTF8_STRING, size)
+        encoded.append(bytes((der.SET, around + 2, der.SEQUENCE, around)) + type_ + bytes(own) + value.encode())
         values.append(value)
-    return WrittenName(der.tlv(der.SEQUENCE, encoded), text, tuple(values))
+    return WrittenName(der.tlv(der.SEQUENCE, *encoded), text, tuple(values))
 
 
 def attributes(name: x509.Name) -> Iterator[tuple[str, str]]:

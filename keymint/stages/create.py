@@ -18,7 +18,7 @@ from keymint.ir import SubjectRules
 from keymint.names import ROOT, refuse_case_collisions, refuse_reserved, subject_of
 from keymint.stages.work import NewPackage, PackagePlan, PackageStage, state_after, steps_of
 from keymint.store.changes import Action, File, FolderChange, Plan, Step, by_folder, folder_changes, same_file
-from keymint.view.stamps import Stamp, digest
+from keymint.view.stamps import Stamp, digest, digest_of_texts
 from keymint.workspace.policy_loading import (
     is_recorded,
     is_unchanged,
@@ -283,7 +283,7 @@ class CreateStage(PackageStage):
 
     def _inputs(self, rules: str) -> str:
         """Return the digest of everything that the sources of a package are made of; of the policy, if it can tell."""
-        return digest(rules, self._session.profile_digest) if rules else self._epoch
+        return digest_of_texts(rules, self._session.profile_digest) if rules else self._epoch
 
     def package(self, name: str) -> PackagePlan:
         """Return the plan for a package."""

@@ -118,13 +118,14 @@ class EnclaveForm:
         subject = distinguished_names.written_name(identity.subject_name).encoded
         public = keys.public_der_of_file(new.files[key].content)
         issuer = certificates.load_bundle(chains[identity.issuer])[0]
-        if any(new.documents.get(name) != document for name, document in self.documents.items()):
+        own = new.documents
+        if any(own.get(name) is not each and own.get(name) != each for name, each in self.documents.items()):
             return False
         for name, file in self.files.items():
             content = new.files[name].content
             document = new.documents[file.document].content if isinstance(file, OwnFile) and file.document else b""
             if isinstance(file, File):
-                is_right = content == file.content
+                is_right = new.files[name] is file or content == file.content
             elif file.part is Part.CERTIFICATE:
                 is_right = certificates.is_like(content, self.parts, subject, public, issuer)
             elif file.part is Part.KEY:

@@ -38,7 +38,7 @@ from keymint.stages.documents import (
 from keymint.stages.environment_scripts import plan_scripts
 from keymint.stages.work import NewPackage, PackagePlan, PackageStage, state_after, steps_of
 from keymint.store.changes import Action, File, FolderChange, Plan, Step, by_folder
-from keymint.view.stamps import Stamp, digest, digest_files
+from keymint.view.stamps import Stamp, digest, digest_files, digest_of_texts
 from keymint.workspace import installed_enclaves
 from keymint.workspace.installed_enclaves import (
     CERTIFICATE,
@@ -462,7 +462,7 @@ def inputs_of(session: Session, name: str) -> str | None:
 
 def _inputs(session: Session, built: str, key: str, documents: Mapping[str, str], *, is_shared: bool = False) -> str:
     """Return the digest of :func:`inputs_of` from that of what the documents are built from, and those of the files."""
-    parts = (part for item in sorted(documents.items()) for part in item)
+    parts = chain.from_iterable(sorted(documents.items()))
     revoked = {} if is_shared else revocation_lists_in_force.lists(session)
     more = (digest_files(revoked),) if revoked else ()
-    return digest(built, key, chains_digest(session), session.profile.layout, *parts, *more)
+    return digest_of_texts(built, key, chains_digest(session), session.profile.layout, *parts, *more)

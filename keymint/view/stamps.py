@@ -46,6 +46,11 @@ def digest(*parts: bytes | memoryview | str) -> str:
     return hashed.hexdigest()
 
 
+def digest_of_texts(*texts: str) -> str:
+    """Return the SHA-256, in hex, of texts without NUL, such as paths and digests: for many, it is quicker."""
+    return hashlib.sha256("\0".join(texts).encode("utf-8", "surrogatepass")).hexdigest()
+
+
 class Digests(Mapping[str, str]):
     """Digests of files by name that take little memory where many have the same names, as the folders of a fleet do.
 

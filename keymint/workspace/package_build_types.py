@@ -13,7 +13,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, MutableMapp
 from keymint.api import Artifact, AuthorityRole, BuildType, Package
 from keymint.errors import Defects, Diagnostic, KeymintError
 from keymint.names import subject_of
-from keymint.view.stamps import digest
+from keymint.view.stamps import digest, digest_of_texts
 from keymint.workspace.session import Session, once
 
 BUILD = "build"
@@ -130,7 +130,7 @@ def inputs_digest(
         build_types = session.state.build_types(BUILD, name)
     shares = any(shared_builder(session, each) for each in build_types)
     places = (str(session.workspace.install),) if shares else ()
-    return digest(session.profile_digest, session.sources_digest(name, files), session.plugins.versions, *places)
+    return digest_of_texts(session.profile_digest, session.sources_digest(name, files), *places)
 
 
 @once

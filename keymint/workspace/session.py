@@ -6,6 +6,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Mapping
 from datetime import datetime
+from itertools import chain
 from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
@@ -28,7 +29,7 @@ from keymint.errors import KeymintError, Origin
 from keymint.names import ROOT
 from keymint.pki.tokens.token_sessions import Tokens
 from keymint.store.changes import Plan
-from keymint.view.stamps import State, digest, digest_files
+from keymint.view.stamps import State, digest, digest_files, digest_of_texts
 from keymint.view.tree import Tree
 from keymint.workspace.workspace import DEFAULTS, PACKAGE_MARKER, PROFILE_MARKER, Workspace, package_paths, packages
 
@@ -302,10 +303,10 @@ class Session(Inputs):
             name: the package.
             files: the digests of its files, if it is not there yet.
         """
-        infrastructure = self.infrastructure()
-        placed = (str(self.workspace.install),) if infrastructure else ()
         whole = self._sources(name)[1] if files is None else _digest_of(files)
-        return digest(*placed, whole, *map(self._named_digest, infrastructure))
+        if not (infrastructure := self.infrastructure()):
+            return whole
+        return digest_of_texts(str(self.workspace.install), whole, *map(self._named_digest, infrastructure))
 
     @once_of_sources
     def _named_digest(self, name: str) -> str:
@@ -375,4 +376,4 @@ class Session(Inputs):
 
 def _digest_of(files: Mapping[str, str]) -> str:
     """Return one digest over files, given by their digests."""
-    return digest(*(part for item in sorted(files.items()) for part in item))
+    return digest_of_texts(*chain.from_iterable(sorted(files.items())))

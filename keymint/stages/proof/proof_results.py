@@ -24,7 +24,7 @@ from keymint.errors import KeymintError
 from keymint.ir import Kind, Rule, SubjectRules, once_of_kind
 from keymint.life import terms
 from keymint.names import name_of
-from keymint.view.stamps import Stamp, State, digest
+from keymint.view.stamps import Stamp, State, digest, digest_of_texts
 from keymint.workspace.session import Session
 
 STEPS = 30_000_000
@@ -319,7 +319,7 @@ def load_proof(stamp: Stamp, folder: str) -> tuple[tuple[Claim, ...], tuple[Vali
 def placeless_digest(rules: Iterable[SubjectRules]) -> str:
     """Return a digest of rules, independent of where they are written."""
     kinds = (of_subject.kind for of_subject in rules)
-    return digest(*(part for kind, names in kinds for part in (_kind_digest(kind), *names)))
+    return digest_of_texts(*(part for kind, names in kinds for part in (_kind_digest(kind), repr(names))))
 
 
 @once_of_kind

@@ -28,7 +28,7 @@ from keymint.stages.proof import proof_results
 from keymint.stages.proof.proof_results import EnclaveProof, ProofEffort, ProofResults
 from keymint.stages.proof.trust_anchors import anchors_of, shared_anchors, unread_of
 from keymint.stages.work import NewPackage, PackageStage
-from keymint.view.stamps import Stamp, digest, digest_files
+from keymint.view.stamps import Stamp, digest, digest_files, digest_of_texts
 from keymint.workspace import package_build_types
 from keymint.workspace.installed_enclaves import enclave_digests, enclave_files, not_installed
 from keymint.workspace.package_build_types import SHARED
@@ -360,9 +360,9 @@ class ProofStage(PackageStage):
 
     def _digest(self, built: str, digests: Mapping[str, str], build_types: Iterable[str], vendors_of: str) -> str:
         shared = (documents_digest(self._session, each) for each in build_types)
-        files = (part for item in sorted(digests.items()) for part in item)
+        files = chain.from_iterable(sorted(digests.items()))
         of_vendors = [vendors_of] if vendors_of else []
-        return digest(built, self._chains_digest, __version__, *of_vendors, *shared, "", *files)
+        return digest_of_texts(built, self._chains_digest, __version__, *of_vendors, *shared, "", *files)
 
     def _rules(self, subject: str) -> SubjectRules:
         """Return the policy's rules for a subject; none for infrastructure, even if a profile is for every subject."""

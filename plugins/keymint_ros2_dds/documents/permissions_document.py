@@ -8,6 +8,7 @@ from functools import lru_cache
 
 from lxml import etree
 
+from comarmor.regex import lazy_regex
 from comarmor.rules import Effect
 from keymint.api import DomainRange, Grant
 from keymint.errors import Diagnostic, KeymintError
@@ -21,6 +22,7 @@ from keymint_ros2_dds.subject_names import subject_name_of
 _MAX_YEAR = 2261
 """Cyclone DDS counts time in nanoseconds of 64 bits, and reads later years as expired."""
 _ESCAPED = {"&": "&amp;", "<": "&lt;", ">": "&gt;", "\r": "&#13;"}
+_HAS_ESCAPED = lazy_regex("[&<>\r]")
 _TEXT = str.maketrans(_ESCAPED)
 _ATTRIBUTE = str.maketrans({**_ESCAPED, '"': "&quot;", "\n": "&#10;", "\t": "&#9;"})
 
@@ -70,8 +72,7 @@ def _text(permissions: Grant, name: str, rules: Sequence[GrantRule[str]], indent
 
 
 def _list(tag: str, texts: Sequence[str], indent: str) -> str:
-    joined = "".join(texts)
-    if any(char in joined for char in _ESCAPED):
+    if _HAS_ESCAPED.search("".join(texts)):
         texts = [text.translate(_TEXT) for text in texts]
     begin, end = f"{indent * 6}<{tag}>", f"</{tag}>\n"
     elements = f"{begin}{(end + begin).join(texts)}{end}"

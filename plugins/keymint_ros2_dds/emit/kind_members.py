@@ -120,7 +120,9 @@ class Structure:
         related, short, expressions = _relations(ends)
         names += short
         first: dict[str, int] = {}
-        equal = tuple(first.setdefault(name, index) for index, name in enumerate(names))
+        equal = tuple(range(len(names)))
+        if len({*names}) < len(names):
+            equal = tuple(first.setdefault(name, index) for index, name in enumerate(names))
         if not self.own:
             match, found = self._any.fullmatch, tuple[int, ...]()
             if self.wildcards:
