@@ -496,8 +496,10 @@ def _staged(
     plan: Plan, record: Callable[[], Iterable[FolderChange]], store: Store, workers: Workers
 ) -> Sequence[Exchange]:
     """Stage a plan and its record. What other processes hold comes before what is removed."""
-    if not any(change.held for change in plan.changes()):
+    held = [str(change.folder) for change in plan.changes() if change.held]
+    if not held:
         return store.stage((*plan.changes(), *record()))
+    store.make_common(held)
     removals = Plan(tuple(step for step in plan.steps if step.action is Action.REMOVED), plan.state)
     others = replace(plan, steps=tuple(step for step in plan.steps if step.action is not Action.REMOVED))
     staged: list[Exchange] = []

@@ -266,6 +266,19 @@ class Store:
         """
         return Staging(self._roots, self.seen).stage(changes)
 
+    def make_common(self, folders: Iterable[str]) -> None:
+        """Create the folders around folders in which several processes will stage: else each stages these as new ones.
+
+        Raises:
+            KeymintError: a path is not below a root, a symbolic link is in the way, or the system refuses.
+        """
+        by_root: dict[str, list[str]] = {}
+        for folder in folders:
+            by_root.setdefault(self._roots.of(folder), []).append(f"{folder}/")
+        with OpenFolders(self._roots) as opened:
+            for own in (each for each in by_root.values() if len(each) > 1):
+                opened.open(os.path.commonpath([min(own), max(own)]))
+
     def commit(self, staged: Sequence[Exchange]) -> None:
         """Make staged changes visible and durable, in order; see :mod:`keymint.store.group_commit`.
 
