@@ -297,10 +297,7 @@ class TunableScope:
             ComArmorError: the notation is wrong, a tunable is unknown, or there are too many expansions.
         """
         bare = strip(text)
-        if len(bare) <= MOST_CHARACTERS and _PLAIN.fullmatch(bare):  # most are, and are their only expansion
-            expanded: dict[Value, None] = {(bare,): None}
-        else:
-            expanded = dict.fromkeys(expand(parse(bare), partial(self.values, where=where)))
+        expanded = dict.fromkeys(expand(parse(bare), partial(self.values, where=where)))
         self.spend(expanded)
         return tuple(expanded)
 

@@ -7,12 +7,11 @@ import functools
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 from comarmor.errors import ComArmorError, Defects, Diagnostic, Origin
 from comarmor.language.parse import parse
 from comarmor.language.policy import Policy
-from comarmor.language.policy_files import PolicyFiles
+from comarmor.language.policy_files import PolicyFiles, ShortDocument
 from comarmor.language.source import TESTS, load_tree, read_document
 from comarmor.patterns.expression import parse as parse_expression
 from comarmor.rules import Expectation
@@ -21,9 +20,6 @@ from comarmor.xml.package_folders import PackageFolders
 from comarmor.xml.reader import LIMITS, XINCLUDE, line
 from comarmor.xml.reader import parse as parse_xml
 from comarmor.xml.sandboxed_paths import file_errors
-
-if TYPE_CHECKING:
-    from comarmor.language.alike_profiles import ShortDocument
 
 _MANY = 3
 """Profiles in a file, from which on it is shortened."""
@@ -90,11 +86,11 @@ def load_all(
 
 def _loaded(read: Callable[..., PolicyFiles]) -> Policy:
     """Load a policy; as a whole if its short form has defects, to find all of them."""
-    short: list[ShortDocument | None] = []
+    short: list[ShortDocument] = []
 
-    def shorten(content: bytes) -> ShortDocument | None:
+    def shorten(content: bytes) -> ShortDocument:
         if content.count(b"</profile>") < _MANY:
-            return None
+            return ShortDocument(content)
         from comarmor.language.alike_profiles import short_form  # noqa: PLC0415 - small policies do without
 
         short.append(short_form(content))
@@ -103,7 +99,7 @@ def _loaded(read: Callable[..., PolicyFiles]) -> Policy:
     try:
         return parse(read(shorten=shorten))
     except ComArmorError:
-        if not any(short):
+        if not any(each.copies for each in short):
             raise
     return parse(read())
 

@@ -80,7 +80,12 @@ class _PolicyParser:
         scope = TunableScope(self.budget)
         item = _PlacedElement(document.root, document, ())
         if document.root.tag == "profiles":
-            return self.completed(self.profiles(item, scope), document)
+            profiles = self.profiles(item, scope)
+            if not document.short.copies:
+                return profiles
+            from comarmor.language.alike_profiles import with_copies  # noqa: PLC0415 - small policies do without
+
+            return with_copies(document, profiles, self.budget)
         if document.root.tag == "profile":
             return tuple(self.profile(item, scope, audit=False, depth=1))
         self.refuse(
@@ -90,19 +95,6 @@ class _PolicyParser:
             "move a file that is only included into a sub-folder of the policy's folder",
         )
         return ()
-
-    def completed(self, profiles: tuple[Profile, ...], document: PolicyFile) -> tuple[Profile, ...]:
-        """Return the profiles of a document, of whose short form, if it has one, these are.
-
-        Raises:
-            ComArmorError: the document must be read as a whole.
-        """
-        if document.short is None:
-            return profiles
-        every = document.short.completed(profiles, self.budget)
-        if document.inclusions or self.budget.used > MOST_EXPANDED_CHARACTERS:
-            raise ComArmorError("inclusions or characters must be counted one by one")
-        return every
 
     def children(self, item: _PlacedElement, *, audit: bool | None = None) -> Iterator[_PlacedElement]:
         """Yield the child elements of an element, with includes replaced by the included elements.

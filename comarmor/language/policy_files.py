@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from lxml import etree
 
@@ -15,9 +14,6 @@ from comarmor.text import did_you_mean, quote
 from comarmor.values import dataclass
 from comarmor.xml.package_folders import ShippedFile
 from comarmor.xml.reader import line, place
-
-if TYPE_CHECKING:
-    from comarmor.language.alike_profiles import ShortDocument
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +60,38 @@ def href_of(element: etree._Element, where: Origin, known: tuple[str, ...] = ("h
     return element.get("href", "")
 
 
+@dataclass(frozen=True, slots=True)
+class ProfileCopy:
+    """A profile that is taken out.
+
+    Attributes:
+        first: the line where the first profile of its form begins.
+        line: the line where it begins itself.
+        name: its name.
+        texts: what it has as texts of attachments, by their lines in the first profile.
+    """
+
+    first: int
+    line: int
+    name: str
+    texts: Mapping[int, str]
+
+
+@dataclass(frozen=True, slots=True)
+class ShortDocument:
+    """A document without the profiles that are like others.
+
+    Attributes:
+        content: the rest, in the same lines and columns.
+        copies: what was taken out, in order.
+        kept: line and column where profiles must be that are left, so that the copies are profiles.
+    """
+
+    content: bytes
+    copies: tuple[ProfileCopy, ...] = ()
+    kept: frozenset[tuple[int, int]] = frozenset()
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PolicyFile:
     """One file of a policy.
@@ -79,7 +107,7 @@ class PolicyFile:
             with anything else includes it without reading or copying it.
         package: name of the package that ships it; empty for a file of the policy's owner.
         climbs: number of folders above its own that the paths of its includes, nested ones included, lead through.
-        short: what the root was parsed from, if profiles were taken out.
+        short: what the root was parsed from.
     """
 
     name: str
@@ -91,7 +119,7 @@ class PolicyFile:
     uniform: bool
     package: str = ""
     climbs: int = 0
-    short: ShortDocument | None = None
+    short: ShortDocument = ShortDocument(b"")
 
     def place(self, element: etree._Element, chain: tuple[Origin, ...] = ()) -> Origin:
         """Return the place of an element of it, with the places that include the file, innermost first."""

@@ -14,21 +14,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 from lxml import etree
 
 from comarmor.errors import ComArmorError, Origin
-from comarmor.language.policy_files import IncludeFormat, PolicyFile, PolicyFiles, href_of
+from comarmor.language.policy_files import IncludeFormat, PolicyFile, PolicyFiles, ShortDocument, href_of
 from comarmor.rules import PERMISSIONS
 from comarmor.text import quote
 from comarmor.values import dataclass
 from comarmor.xml.package_folders import PackageFolders, ShippedFile
 from comarmor.xml.reader import LIMITS, XINCLUDE, Limits, parse, place
 from comarmor.xml.sandboxed_paths import SandboxedFolder, checked_path, file_errors, package_path, path_of, path_text
-
-if TYPE_CHECKING:
-    from comarmor.language.alike_profiles import ShortDocument
 
 INCLUDE = f"{{{XINCLUDE}}}include"
 TESTS = ".test.xml"
@@ -44,7 +40,7 @@ def load_tree(
     packages: PackageFolders | None = None,
     limits: Limits = LIMITS,
     form: IncludeFormat = _COMARMOR,
-    shorten: Callable[[bytes], ShortDocument | None] = lambda _content: None,
+    shorten: Callable[[bytes], ShortDocument] = ShortDocument,
 ) -> PolicyFiles:
     """Read a policy: a file, or the ``*.xml`` files directly in a directory, in sorted order.
 
@@ -55,7 +51,7 @@ def load_tree(
         packages: where packages are that ship files; without it the policy may include none of theirs.
         limits: limits of files and includes.
         form: the form of includes.
-        shorten: returns the short form of a root file, or None to read it as a whole.
+        shorten: returns what a root file is parsed from.
 
     Raises:
         ComArmorError: something is missing, outside, too large or not well-formed, with ``file:line``.
@@ -172,7 +168,7 @@ class _PolicyReader:
     limits: Limits
     packages: PackageFolders | None = None
     form: IncludeFormat = _COMARMOR
-    shorten: Callable[[bytes], ShortDocument | None] = lambda _content: None
+    shorten: Callable[[bytes], ShortDocument] = ShortDocument
     files: dict[Path, bytes] = field(default_factory=dict)
     seen: dict[Path, bytes] = field(default_factory=dict)
     shipped: dict[tuple[str, str], ShippedFile] = field(default_factory=dict)
@@ -226,11 +222,11 @@ class _PolicyReader:
         self.seen[folder.place(relative)] = self.files[real]
         if folder.package:
             self.shipped[key] = ShippedFile(folder.package, relative, content, where)
-        short = None if chain else self.shorten(content)
-        root = parse(short.content if short else content, folder.name(relative), limits=self.limits, chain=chain)
+        short = ShortDocument(content) if chain else self.shorten(content)
+        root = parse(short.content, folder.name(relative), limits=self.limits, chain=chain)
         self.open.append(real)
         document = self.complete(content, root, folder, relative, chain)
-        document = replace(document, short=short, nodes=content.count(b"<") if short else document.nodes)
+        document = replace(document, short=short, nodes=content.count(b"<") if short.copies else document.nodes)
         self.done[key] = named, document
         self.open.pop()
         return document

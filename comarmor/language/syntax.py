@@ -67,7 +67,9 @@ class ProfileRule:
 
     def for_parts(self, namespace: str, name: str, where: Origin | None = None) -> Rule:
         """Return the rule for a subject, whose parts are given as :meth:`Attachment.for_parts` needs them."""
-        return self.with_expressions([each.for_parts(namespace, name) for each in self.attachments], where)
+        texts = [for_parts(each.value, namespace, name) if each.value else each.text for each in self.attachments]
+        once = (texts[0],) if len(texts) == 1 else tuple(dict.fromkeys(texts))
+        return Rule(self.effect, self.kind, self.permissions, once, self.partitions, self.audit, where or self.where)
 
     def written(self) -> str:
         """Return the rule and its files as text that differs for every other rule; lines do not count."""
@@ -75,10 +77,10 @@ class ProfileRule:
         partitions = (str(len(self.partitions)), *self.partitions, str(self.audit))
         return "\x1f".join((*texts, *partitions, files((self.where, *self.where.chain))))  # XML has no such character
 
-    def with_expressions(self, expressions: Iterable[str], where: Origin | None = None) -> Rule:
-        """Return the rule with expressions in place of its attachments, and another place if one is given."""
+    def with_expressions(self, expressions: Iterable[str]) -> Rule:
+        """Return the rule with expressions in place of its attachments."""
         unique = tuple(dict.fromkeys(expressions))
-        return Rule(self.effect, self.kind, self.permissions, unique, self.partitions, self.audit, where or self.where)
+        return Rule(self.effect, self.kind, self.permissions, unique, self.partitions, self.audit, self.where)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,13 +95,16 @@ class Inclusion:
     rules: tuple[ProfileRule, ...]
     chain: tuple[Origin, ...]
 
-    def expanded(self, namespace: str, name: str) -> Iterator[Rule]:
-        """Yield the rules for a subject, as :meth:`ProfileRule.for_parts`; rules of one file share their chain."""
-        chains: dict[int, tuple[Origin, ...]] = {}
+    def expanded(self, namespace: str, name: str) -> list[Rule]:
+        """Return the rules for a subject, as :meth:`ProfileRule.for_parts`; rules of one file share their chain."""
+        rules: list[Rule] = []
+        inner, chain = None, self.chain
         for rule in self.rules:
             at = rule.where
-            chain = chains.get(id(at.chain)) or chains.setdefault(id(at.chain), (*at.chain, *self.chain))
-            yield rule.for_parts(namespace, name, at.with_chain(chain))
+            if at.chain is not inner:
+                inner, chain = at.chain, (*at.chain, *self.chain)
+            rules.append(rule.for_parts(namespace, name, at.with_chain(chain)))
+        return rules
 
     def placed(self) -> Iterator[ProfileRule]:
         """Yield the rules with all places that include them."""
@@ -124,11 +129,9 @@ def expected_of_subject(expression: str) -> str:
         expression: the expression of a profile; one with wildcards is always legal.
     """
     name = literal(expression)
-    if name is None or (is_subject(name) and len(name) <= _LONGEST_SEGMENT):
-        return ""
-    if len(name) > _LONGEST_NAME or max(map(len, name.split("/"))) > _LONGEST_SEGMENT:
+    if name is not None and (len(name) > _LONGEST_NAME or max(map(len, name.split("/"))) > _LONGEST_SEGMENT):
         return f"at most {_LONGEST_NAME} characters, and {_LONGEST_SEGMENT} between two '/'"
-    if is_subject(name):
+    if name is None or is_subject(name):
         return ""
     return "expected '/' and segments of letters, digits and '_' that do not begin with a digit, e.g. /robot1/talker"
 

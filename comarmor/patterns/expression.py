@@ -11,7 +11,10 @@ from functools import lru_cache
 
 from comarmor.patterns.glob import Glob, Matcher, matcher, normalise
 from comarmor.patterns.tokens import ANY, COMARMOR, SPECIAL, Bracket, Star, Token, tokenize
+from comarmor.regex import lazy_regex
 from comarmor.rules import Effect, Rule, suffixes
+
+_ESCAPED = lazy_regex(r"[*?\[\\{}\s]")
 
 
 @lru_cache(maxsize=65536)
@@ -129,7 +132,7 @@ def escape(text: str) -> str:
 
     Braces and white space are escaped as well as wildcards, because they have a meaning in attachments.
     """
-    return "".join(f"\\{char}" if char in "*?[\\{}" or char.isspace() else char for char in text)
+    return _ESCAPED.sub(r"\\\g<0>", text)
 
 
 def _bracket(bracket: Bracket) -> str:
