@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from enum import IntEnum, StrEnum
 from typing import Self, TypeVar
 
-from comarmor.regex import lazy_regex
+from comarmor.text import lazy_regex
 from comarmor.values import dataclass, replace
 
 _T = TypeVar("_T")

@@ -12,7 +12,7 @@ from enum import StrEnum
 from types import MappingProxyType
 
 from comarmor.errors import Origin
-from comarmor.regex import lazy_regex
+from comarmor.text import lazy_regex
 from comarmor.values import dataclass
 
 

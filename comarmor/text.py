@@ -1,14 +1,43 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Text for messages: escaped, quoted, counted, with the nearest known word, and safe for JSON."""
+"""Text for messages: escaped, quoted, counted, with the nearest known word, and safe for JSON; regular expressions."""
 
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
-from typing import Any
+from typing import Any, AnyStr, cast
 
-from comarmor.regex import lazy_regex
+
+def lazy_regex(pattern: AnyStr, flags: int = 0) -> re.Pattern[AnyStr]:
+    """Return a regular expression like :func:`re.compile`, which is compiled when a method of it is first used.
+
+    A run uses few of those that its modules define.
+
+    Errors in the pattern are raised then; so use it for patterns that are part of the program only.
+
+    Args:
+        pattern: the regular expression.
+        flags: of :mod:`re`.
+    """
+    return cast("re.Pattern[AnyStr]", _Regex(pattern, flags))
+
+
+class _Regex:
+    """Has the attributes of a compiled regular expression; each is kept when it is first used."""
+
+    def __init__(self, pattern: Any, flags: int) -> None:
+        self._source = (pattern, flags)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _Regex, self._source
+
+    def __getattr__(self, name: str) -> Any:
+        value = getattr(re.compile(*self._source), name)
+        setattr(self, name, value)
+        return value
+
 
 _NUMBER = lazy_regex("([0-9]+)")
 _LONGEST_WORD = 128

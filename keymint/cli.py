@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, Any, TextIO, cast
 
 import click
 
-from comarmor.regex import lazy_regex
-from comarmor.text import one_line
+from comarmor.text import lazy_regex, one_line
 from keymint import __version__
 from keymint.command_line.verb_group import VerbGroup
 from keymint.errors import ExitCode

@@ -15,7 +15,7 @@ from comarmor.errors import ComArmorError, Origin
 from comarmor.language.attachments import MOST_EXPANDED_CHARACTERS, ExpansionBudget
 from comarmor.language.policy_files import PolicyFile, ProfileCopy, ShortDocument
 from comarmor.language.syntax import Attachment, Inclusion, Profile, ProfileRule, expected_of_subject, unique
-from comarmor.regex import lazy_regex
+from comarmor.text import lazy_regex
 from comarmor.xml.reader import LIMITS
 
 _BEGIN, _END = b'<profile name="', b"</profile>"

@@ -17,8 +17,7 @@ from math import prod
 from comarmor.errors import ComArmorError, Origin, Spot
 from comarmor.patterns.expression import canonical, escape
 from comarmor.patterns.tokens import COMARMOR, Bracket, next_token
-from comarmor.regex import lazy_regex
-from comarmor.text import did_you_mean, quote
+from comarmor.text import did_you_mean, lazy_regex, quote
 from comarmor.values import dataclass
 
 

@@ -11,8 +11,8 @@ from functools import lru_cache
 
 from comarmor.patterns.glob import Glob, Matcher, matcher, normalise
 from comarmor.patterns.tokens import ANY, COMARMOR, SPECIAL, Bracket, Star, Token, tokenize
-from comarmor.regex import lazy_regex
 from comarmor.rules import Effect, Rule, suffixes
+from comarmor.text import lazy_regex
 
 _ESCAPED = lazy_regex(r"[*?\[\\{}\s]")
 

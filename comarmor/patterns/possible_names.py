@@ -12,8 +12,8 @@ from functools import lru_cache
 
 from comarmor.patterns.glob import Glob, parse
 from comarmor.patterns.tokens import PatternError, Star
-from comarmor.regex import lazy_regex
 from comarmor.rules import RAW_PREFIXES
+from comarmor.text import lazy_regex
 
 _START, _SLASH, _SEGMENT = 1, 2, 4
 """The previous character: none, a ``/``, or one of a segment; as bits, for a set of these. A name ends in a segment."""

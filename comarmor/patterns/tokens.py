@@ -15,8 +15,7 @@ from enum import Enum, auto
 from itertools import chain
 
 from comarmor.errors import ComArmorError
-from comarmor.regex import lazy_regex
-from comarmor.text import did_you_mean
+from comarmor.text import did_you_mean, lazy_regex
 from comarmor.values import dataclass
 
 MAX_CODE = 0x10FFFF

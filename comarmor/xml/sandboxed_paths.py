@@ -16,8 +16,7 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 from comarmor.errors import ComArmorError, Origin
-from comarmor.regex import lazy_regex
-from comarmor.text import did_you_mean, quote
+from comarmor.text import did_you_mean, lazy_regex, quote
 from comarmor.values import dataclass
 
 FOLLOW_LINKS = "--trust-links follows it, e.g. in what 'colcon build --symlink-install' made"

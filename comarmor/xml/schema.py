@@ -13,8 +13,7 @@ from lxml import etree
 
 from comarmor.data import locate
 from comarmor.errors import ComArmorError, Diagnostic, Origin
-from comarmor.regex import lazy_regex
-from comarmor.text import did_you_mean, quote
+from comarmor.text import did_you_mean, lazy_regex, quote
 from comarmor.xml.reader import XINCLUDE, line_in, parse
 
 XS = "{http://www.w3.org/2001/XMLSchema}"

@@ -12,8 +12,8 @@ import re
 from collections.abc import Iterable, Iterator
 from enum import StrEnum
 
-from comarmor.regex import lazy_regex
 from comarmor.rules import PERMISSIONS
+from comarmor.text import lazy_regex
 from comarmor.values import dataclass
 from keymint.errors import Diagnostic
 

@@ -7,9 +7,8 @@ import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, NoReturn
 
-from comarmor.regex import lazy_regex
 from comarmor.rules import KIND_OF, PERMISSIONS, is_fully_qualified, is_subject
-from comarmor.text import did_you_mean
+from comarmor.text import did_you_mean, lazy_regex
 from keymint.api.graph import Edge, Graph, Object
 from keymint.errors import KeymintError, Origin
 

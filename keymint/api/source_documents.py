@@ -17,8 +17,7 @@ from typing import Generic, TypeVar
 
 from lxml import etree
 
-from comarmor.regex import lazy_regex
-from comarmor.text import did_you_mean, quote
+from comarmor.text import did_you_mean, lazy_regex, quote
 from comarmor.xml import reader, schema
 from comarmor.xml.reader import line
 from keymint.api import DomainRange

@@ -32,8 +32,8 @@ from typing import Any
 
 import click
 
-from comarmor.regex import lazy_regex
 from comarmor.rules import PERMISSIONS, RAW_PREFIXES
+from comarmor.text import lazy_regex
 from comarmor.values import dataclass
 from keymint.api import GraphSource
 from keymint.api.plugin_loader import Plugins

@@ -22,7 +22,7 @@ from typing import Any, cast
 import click
 from click.core import ParameterSource
 
-from comarmor.regex import lazy_regex
+from comarmor.text import lazy_regex
 from comarmor.values import dataclass
 from keymint import SPACES
 from keymint.api.plugin_loader import Plugins

@@ -18,8 +18,7 @@ from enum import StrEnum
 from importlib import resources
 from itertools import accumulate
 
-from comarmor.regex import lazy_regex
-from comarmor.text import one_line
+from comarmor.text import lazy_regex, one_line
 from keymint.api.graph import EdgeOutcome, Object
 from keymint.drawing.labelled_graph import LabelledEdge
 

@@ -14,7 +14,7 @@ from functools import partial
 from itertools import chain
 from typing import Any, TypeVar
 
-from comarmor.regex import lazy_regex
+from comarmor.text import lazy_regex
 from comarmor.values import dataclass, field, replace
 from keymint.api import BuildOptions, BuildType, Inspection, Package
 from keymint.authority.authority_files import elsewhere, trusted_chains

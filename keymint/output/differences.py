@@ -7,8 +7,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from comarmor.regex import lazy_regex
-from comarmor.text import quantity
+from comarmor.text import lazy_regex, quantity
 from keymint.analysis.permission_changes import PermissionChange
 from keymint.analysis.policy_diff import SubjectChanges
 from keymint.errors import Origin, Spot

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from comarmor.regex import lazy_regex
+from comarmor.text import lazy_regex
 from comarmor.values import dataclass
 from keymint.api.xml_templates import xml_document
 

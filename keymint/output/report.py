@@ -9,7 +9,7 @@ from dataclasses import asdict, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from comarmor.regex import lazy_regex
+from comarmor.text import lazy_regex
 from comarmor.values import dataclass
 from keymint.errors import Diagnostic, ExitCode, Severity
 from keymint.store.changes import Step

@@ -14,8 +14,7 @@ from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat.primitives import serialization
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
-from comarmor.regex import lazy_regex
-from comarmor.text import quote
+from comarmor.text import lazy_regex, quote
 from comarmor.values import dataclass, field
 from keymint.api import CertificateSpec
 from keymint.errors import Diagnostic, KeymintError, Origin

@@ -11,8 +11,7 @@ from typing import Any, TypeVar
 from cryptography import x509
 from cryptography.x509.oid import AuthorityInformationAccessOID, ExtendedKeyUsageOID, ExtensionOID
 
-from comarmor.regex import lazy_regex
-from comarmor.text import did_you_mean, quote
+from comarmor.text import did_you_mean, lazy_regex, quote
 from comarmor.values import dataclass
 from keymint.api import Extension
 from keymint.errors import KeymintError

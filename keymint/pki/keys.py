@@ -24,8 +24,7 @@ from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec, padding, rsa
 
-from comarmor.regex import lazy_regex
-from comarmor.text import did_you_mean
+from comarmor.text import did_you_mean, lazy_regex
 from keymint.api import KeySpec
 from keymint.errors import KeymintError, Origin
 from keymint.pki import der

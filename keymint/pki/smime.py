@@ -49,7 +49,7 @@ from typing import NoReturn
 
 from cryptography import x509
 
-from comarmor.regex import lazy_regex
+from comarmor.text import lazy_regex
 from comarmor.values import dataclass, field
 from keymint import api
 from keymint.errors import KeymintError, Origin

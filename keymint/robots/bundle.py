@@ -26,7 +26,7 @@ from typing import Any
 
 from cryptography import x509
 
-from comarmor.regex import lazy_regex
+from comarmor.text import lazy_regex
 from comarmor.values import dataclass
 from keymint.errors import KeymintError, Origin
 from keymint.names import name_of, package_name, subject_of

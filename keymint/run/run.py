@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from comarmor.errors import Diagnostic, Origin, Severity, citation
-from comarmor.regex import lazy_regex
+from comarmor.text import lazy_regex
 from comarmor.values import dataclass
 from keymint import SPACES
 from keymint.api import Environment, lazy

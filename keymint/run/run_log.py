@@ -14,8 +14,7 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any
 
-from comarmor.regex import lazy_regex
-from comarmor.text import encodable_value
+from comarmor.text import encodable_value, lazy_regex
 from keymint import __version__
 from keymint.errors import KeymintError
 from keymint.store.changes import FolderChange, Plan, secret_file

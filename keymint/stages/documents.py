@@ -15,7 +15,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from comarmor.errors import Diagnostic
-from comarmor.regex import lazy_regex
+from comarmor.text import lazy_regex
 from keymint import api
 from keymint.authority.authorities import Authorities
 from keymint.authority.authority_files import trusted_chains

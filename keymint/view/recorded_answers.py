@@ -28,7 +28,7 @@ from itertools import takewhile
 from operator import attrgetter
 from typing import Any, NamedTuple
 
-from comarmor.regex import lazy_regex
+from comarmor.text import lazy_regex
 from comarmor.values import dataclass
 from keymint import __version__
 from keymint.view.stamps import one_of, sealed_document, unsealed_document

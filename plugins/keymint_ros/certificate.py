@@ -10,8 +10,7 @@ from collections.abc import Collection, Mapping
 
 from lxml import etree
 
-from comarmor.regex import lazy_regex
-from comarmor.text import did_you_mean
+from comarmor.text import did_you_mean, lazy_regex
 from comarmor.values import dataclass, replace
 from comarmor.xml.reader import line
 from keymint.api import CertificateSpec, DomainRange, Extension, KeySpec, Validity

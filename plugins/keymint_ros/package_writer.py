@@ -17,9 +17,8 @@ from datetime import datetime
 
 from lxml import etree
 
-from comarmor.regex import lazy_regex
 from comarmor.rules import KIND_OF, Effect
-from comarmor.text import quote
+from comarmor.text import lazy_regex, quote
 from comarmor.values import dataclass
 from comarmor.xml import reader
 from comarmor.xml.reader import line

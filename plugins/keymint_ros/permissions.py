@@ -19,8 +19,8 @@ from lxml import etree
 
 from comarmor.language.attachments import strip
 from comarmor.patterns.expression import parse as parse_expression
-from comarmor.regex import lazy_regex
 from comarmor.rules import Effect
+from comarmor.text import lazy_regex
 from comarmor.values import dataclass, replace
 from comarmor.xml import reader
 from comarmor.xml.reader import line

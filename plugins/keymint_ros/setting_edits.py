@@ -10,7 +10,7 @@ import re
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 
-from comarmor.regex import lazy_regex
+from comarmor.text import lazy_regex
 from keymint.api import WorkspaceProfile
 from keymint_ros import bootstrap, distros, validity
 from keymint_ros.package_writer import without_comments

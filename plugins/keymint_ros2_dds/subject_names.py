@@ -11,7 +11,7 @@ import re
 
 from cryptography import x509
 
-from comarmor.regex import lazy_regex
+from comarmor.text import lazy_regex
 from keymint.api import Grant
 from keymint.errors import KeymintError, Origin
 from keymint.pki import distinguished_names

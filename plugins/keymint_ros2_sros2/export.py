@@ -17,9 +17,8 @@ from comarmor.patterns import glob
 from comarmor.patterns.expression import exact, matches
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.glob import matches as matching
-from comarmor.regex import lazy_regex
 from comarmor.rules import PARTS, Effect, Rule, is_subject
-from comarmor.text import quote
+from comarmor.text import lazy_regex, quote
 from keymint.api import ExportedPolicy, ImportedSubject
 from keymint.api.xml_templates import xml_document
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity, UnsayableError

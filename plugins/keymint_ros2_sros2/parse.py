@@ -20,9 +20,8 @@ from lxml import etree
 from comarmor.errors import ComArmorError, Diagnostic, Origin
 from comarmor.language.policy_files import IncludeFormat, PolicyFile, href_of
 from comarmor.language.source import load_tree
-from comarmor.regex import lazy_regex
 from comarmor.rules import Effect
-from comarmor.text import quote
+from comarmor.text import lazy_regex, quote
 from comarmor.values import dataclass, field, replace
 from comarmor.xml import schema
 from comarmor.xml.reader import XINCLUDE

@@ -17,9 +17,8 @@ from comarmor.errors import ComArmorError, Diagnostic, Origin
 from comarmor.language.attachments import MOST_CHARACTERS
 from comarmor.patterns.expression import canonical
 from comarmor.patterns.tokens import COMARMOR, tokenize
-from comarmor.regex import lazy_regex
 from comarmor.rules import Effect, Rule
-from comarmor.text import quote
+from comarmor.text import lazy_regex, quote
 from comarmor.values import dataclass
 
 NEW = "0.2.0"

@@ -28,7 +28,7 @@ from comarmor.patterns import glob
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.possible_names import matches_ros_name
 from comarmor.patterns.tokens import Charset, Star, Token
-from comarmor.regex import lazy_regex
+from comarmor.text import lazy_regex
 from comarmor.values import dataclass, field
 
 ANY_CHUNK = "*"

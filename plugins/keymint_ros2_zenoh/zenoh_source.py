@@ -7,8 +7,7 @@ from collections.abc import Iterator, Mapping
 from ipaddress import ip_address
 from typing import TYPE_CHECKING
 
-from comarmor.regex import lazy_regex
-from comarmor.text import quote
+from comarmor.text import lazy_regex, quote
 from comarmor.xml.reader import line
 from keymint.api import Extension, PackageSettings, PackageSources, Role, SourcePart, WorkspaceProfile
 from keymint.api.source_documents import Reader, text

@@ -14,8 +14,8 @@ from functools import lru_cache
 from comarmor.patterns.glob import Glob, literal, parse
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.steps import StepLimitError, spend, step_counting_cache, step_limit
-from comarmor.regex import lazy_regex
 from comarmor.rules import KIND_OF, Effect, is_fully_qualified
+from comarmor.text import lazy_regex
 from keymint.analysis.lint.findings import ExpressionOrigins, undecided_note
 from keymint.api import PolicyStructure
 from keymint.errors import Diagnostic, Origin

@@ -11,8 +11,7 @@ from typing import Any
 
 import click
 
-from comarmor.regex import lazy_regex
-from comarmor.text import quantity
+from comarmor.text import lazy_regex, quantity
 from keymint.api import Tier, Transport
 from keymint.api.graph import MISMATCHES, Edge, EdgeOutcome, Graph
 from keymint.api.graph_json import load

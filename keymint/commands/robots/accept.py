@@ -6,7 +6,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from comarmor.regex import lazy_regex
+from comarmor.text import lazy_regex
 from comarmor.values import dataclass
 from keymint.command_line.named_files import read_input
 from keymint.command_line.robot_options import folder_option, keystore_of, opened_store

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import click
 
-from comarmor.regex import lazy_regex
+from comarmor.text import lazy_regex
 from comarmor.values import dataclass, replace
 from keymint.command_line.options import Names, names_group, valid_for_option
 from keymint.command_line.verb import Report, Run, flag, option, option_group, verb

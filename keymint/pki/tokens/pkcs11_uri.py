@@ -7,8 +7,7 @@ import re
 from collections.abc import Mapping
 from urllib.parse import unquote, unquote_to_bytes
 
-from comarmor.regex import lazy_regex
-from comarmor.text import did_you_mean, quote
+from comarmor.text import did_you_mean, lazy_regex, quote
 from comarmor.values import dataclass
 from keymint.errors import KeymintError, Origin
 

@@ -12,8 +12,7 @@ from collections.abc import Mapping
 
 from lxml import etree
 
-from comarmor.regex import lazy_regex
-from comarmor.text import quote
+from comarmor.text import lazy_regex, quote
 from comarmor.xml.reader import line, parse
 from keymint.api import DiscoveredGraph
 from keymint.api.graph_json import MAX_DOMAIN

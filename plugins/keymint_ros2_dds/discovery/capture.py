@@ -28,9 +28,8 @@ import re
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping
 
-from comarmor.regex import lazy_regex
 from comarmor.rules import PARTS, is_fully_qualified, parts
-from comarmor.text import first_few
+from comarmor.text import first_few, lazy_regex
 from comarmor.values import dataclass
 from keymint.api import DiscoveredGraph
 from keymint.api.graph import Edge, Graph, Object, is_generated

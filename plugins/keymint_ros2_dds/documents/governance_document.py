@@ -13,7 +13,7 @@ from comarmor.patterns import glob
 from comarmor.patterns.expression import exact
 from comarmor.patterns.glob import EVERYTHING, Glob
 from comarmor.patterns.relations import covers, union_covers
-from comarmor.regex import lazy_regex
+from comarmor.text import lazy_regex
 from keymint.api import Package
 from keymint.errors import Diagnostic, KeymintError, Severity
 from keymint_ros2_dds.documents import dds_xml

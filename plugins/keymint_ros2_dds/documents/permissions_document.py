@@ -8,8 +8,8 @@ from functools import lru_cache
 
 from lxml import etree
 
-from comarmor.regex import lazy_regex
 from comarmor.rules import Effect
+from comarmor.text import lazy_regex
 from keymint.api import DomainRange, Grant
 from keymint.errors import Diagnostic, KeymintError
 from keymint_ros2_dds.documents import dds_xml

@@ -18,8 +18,8 @@ from comarmor.patterns.glob import Glob, literal, matcher, parse, regex
 from comarmor.patterns.relations import TooComplexError, intersection
 from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.patterns.tokens import ANY, Charset
-from comarmor.regex import lazy_regex
 from comarmor.rules import is_fully_qualified
+from comarmor.text import lazy_regex
 from comarmor.values import dataclass, field
 from keymint.api import BuildOptions, Claim, DomainRange, Grant, Package, Validity
 from keymint.errors import KeymintError

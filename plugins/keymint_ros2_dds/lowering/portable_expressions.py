@@ -16,7 +16,7 @@ from math import prod
 
 from comarmor.patterns.glob import Glob, literal
 from comarmor.patterns.tokens import ANY, Charset, Star
-from comarmor.regex import lazy_regex
+from comarmor.text import lazy_regex
 
 MAX_ALTERNATIVES = 64
 """Expressions that one pattern may become."""

@@ -8,7 +8,7 @@ from datetime import UTC, datetime, timedelta
 from functools import lru_cache
 from itertools import pairwise
 
-from comarmor.regex import lazy_regex
+from comarmor.text import lazy_regex
 from comarmor.values import dataclass
 from keymint.api import ValidityTerm
 from keymint.errors import KeymintError, Origin

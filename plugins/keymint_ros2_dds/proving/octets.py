@@ -20,7 +20,7 @@ from functools import lru_cache
 from comarmor.patterns.decision_lists import Universe
 from comarmor.patterns.glob import Glob, normalise, parse
 from comarmor.patterns.tokens import Dialect, Undefined, charset
-from comarmor.regex import lazy_regex
+from comarmor.text import lazy_regex
 from keymint.ir import Rule, SubjectRules
 from keymint_ros2_dds.decision.semantics import STANDARD, Semantics
 from keymint_ros2_dds.lowering.name_mapping import TopicAction

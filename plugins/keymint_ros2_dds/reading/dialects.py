@@ -26,7 +26,7 @@ from lxml import etree
 from comarmor.errors import ComArmorError, Diagnostic
 from comarmor.patterns.glob import parse, regex
 from comarmor.patterns.tokens import SPECIAL, Dialect
-from comarmor.regex import lazy_regex
+from comarmor.text import lazy_regex
 from comarmor.values import dataclass
 from comarmor.xml import schema
 from comarmor.xml.reader import line

@@ -14,8 +14,7 @@ from itertools import chain
 from lxml import etree
 
 from comarmor.errors import ComArmorError, Diagnostic, Origin
-from comarmor.regex import lazy_regex
-from comarmor.text import quote
+from comarmor.text import lazy_regex, quote
 from comarmor.values import dataclass, replace
 from comarmor.xml.reader import line, parse
 from keymint.api import DomainRange

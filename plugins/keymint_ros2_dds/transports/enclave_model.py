@@ -17,7 +17,7 @@ from itertools import repeat
 
 from cryptography import x509
 
-from comarmor.regex import lazy_regex
+from comarmor.text import lazy_regex
 from keymint.api import Availability, Environment, InstalledEnclave, Tier, Transport, Verdict
 from keymint.api.graph import Column, Edge
 from keymint.api.transports import EnclavesBySubject, installed_file

@@ -14,8 +14,7 @@ from typing import Any
 
 import pyjson5
 
-from comarmor.regex import lazy_regex
-from comarmor.text import quote
+from comarmor.text import lazy_regex, quote
 from keymint.errors import KeymintError, Origin
 
 FILE_BYTES = 64 * 2**20

@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 
 from comarmor.patterns import glob
-from comarmor.regex import lazy_regex
 from comarmor.rules import Effect
+from comarmor.text import lazy_regex
 from keymint.api import DomainRange, EnclaveFiles, InstalledRights
 from keymint.errors import KeymintError, Origin
 from keymint.ir import Rule

@@ -23,7 +23,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Self
 
-from comarmor.regex import lazy_regex
+from comarmor.text import lazy_regex
 from comarmor.values import dataclass, replace
 from keymint.host.vendor_process import GRACE_SECONDS, CommandProcess, MissingVendorError, ProcessFailedError
 from keymint_ros2_zenoh.documents.configuration import Message

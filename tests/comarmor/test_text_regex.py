@@ -11,7 +11,7 @@ import sys
 
 import pytest
 
-from comarmor.regex import lazy_regex
+from comarmor.text import lazy_regex
 from tests.conftest import CHECKOUT
 
 
@@ -43,10 +43,10 @@ def test_a_mistake_is_an_error_at_the_first_use() -> None:
 
 _COMPILE_ALL = """
 import importlib, pathlib, sys
-from comarmor import regex
+from comarmor import text
 made = []
-init = regex._Regex.__init__
-regex._Regex.__init__ = lambda self, *arguments: made.append(self) or init(self, *arguments)
+init = text._Regex.__init__
+text._Regex.__init__ = lambda self, *arguments: made.append(self) or init(self, *arguments)
 for file in [each for each in map(pathlib.Path, sys.argv[1:]) if "lazy_regex(" in each.read_text()]:
     path = file.relative_to("plugins") if file.parts[0] == "plugins" else file
     try:
