@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from itertools import accumulate
 
 from comarmor.errors import Origin
-from comarmor.rules import KIND_OF, PERMISSIONS, is_segment
+from comarmor.rules import KIND_OF, PERMISSIONS, is_fully_qualified, is_segment
 from comarmor.text import did_you_mean, natural_order, quote
 from keymint.errors import KeymintError, usage_error
 
@@ -56,6 +56,8 @@ def package_name(text: str) -> str:
         raise _illegal(f"{text!r} is not a name", _EXAMPLE)
     if len(name) > MAX_NAME:
         raise _illegal(f"the name {quote(name, 40)} has {len(name)} characters, the maximum is {MAX_NAME}")
+    if len(name) <= MAX_SEGMENT and is_fully_qualified(f"/{name}") and RESERVED.casefold() not in name.casefold():
+        return name  # as almost all do; below it is said what is wrong
     not_legal = f"{quote(text, 80)} is not a legal name:"
     for segment in name.split("/"):
         if not is_segment(segment):

@@ -214,6 +214,7 @@ class Policy:
     _shared_rules: dict[int, Rule] = field(init=False, repr=False, default_factory=dict)
     """By identity of the profile's rule: the rules that are the same for all subjects."""
 
+    _named: list[str] = field(init=False, repr=False, default_factory=list)
     _digests: dict[int, str] = field(init=False, repr=False, default_factory=dict)
     """By identity of a profile, or of the rules of an included file."""
 
@@ -315,7 +316,9 @@ class Policy:
 
     def subjects(self) -> tuple[str, ...]:
         """Return, sorted, the subjects that an attachment names exactly and that its profile applies to."""
-        return tuple(sorted(set(_subjects(self.profiles, ()))))
+        if not self._named:
+            self._named.extend(sorted(set(_subjects(self.profiles, ()))))
+        return tuple(self._named)
 
 
 def _require(what: str, name: str, known: Collection[str], owner: str = "") -> None:
