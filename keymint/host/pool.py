@@ -57,7 +57,7 @@ class Pool:
 
         context, pipes = get_context("fork"), []
         left, given = os.pipe()  # numbers of tasks: whoever is ready takes the next one
-        os.write(given, b"".join(number.to_bytes(2, "big") for number in range(len(tasks) - 1)))
+        os.write(given, b"".join(number.to_bytes(2) for number in range(len(tasks) - 1)))
         os.close(given)
         for _ in range(count - 1):
             here, there = context.Pipe(duplex=False)
@@ -65,7 +65,7 @@ class Pool:
             context.Process(target=_answer, args=(there, work, tasks, left), daemon=True).start()
             there.close()
             pipes.append(here)
-        found = _results(work, tasks, chain([len(tasks) - 1], _taken(left)))
+        found = _results(work, tasks, left, [len(tasks) - 1])
         os.close(left)
         try:
             for pipe in pipes:
@@ -83,15 +83,11 @@ _Results = dict[int, tuple[Any, Exception | None]]
 """Results of tasks by number, up to the first that failed."""
 
 
-def _taken(left: int) -> Iterator[int]:
-    """Yield numbers of tasks that are left, as long as there are any."""
-    while number := os.read(left, 2):
-        yield int.from_bytes(number, "big")
-
-
-def _results(work: Callable[[Any], Any], tasks: Sequence[Any], numbers: Iterable[int]) -> _Results:
+def _results(work: Callable[[Any], Any], tasks: Sequence[Any], left: int, first: Iterable[int] = ()) -> _Results:
+    """Return the results of some tasks, and of those that this process takes."""
     found: _Results = {}
-    for number in numbers:
+    taken = map(int.from_bytes, iter(lambda: os.read(left, 2), b""))
+    for number in chain(first, taken):
         try:
             found[number] = work(tasks[number]), None
         except Exception as error:  # noqa: BLE001 - raised where the results come together
@@ -105,7 +101,7 @@ def _answer(pipe: Connection, work: Callable[[Any], Any], tasks: Sequence[Any], 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     gc.freeze()  # a search for cycles among the parent's objects would copy their pages
-    pipe.send(_results(work, tasks, _taken(left)))
+    pipe.send(_results(work, tasks, left))
 
 
 def divide(items: Sequence[Task], number: int) -> list[Sequence[Task]]:

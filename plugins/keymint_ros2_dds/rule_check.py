@@ -9,7 +9,7 @@ options can switch most of it off, and an enclave need not have a node, so that 
 from __future__ import annotations
 
 import string
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 
 from comarmor.patterns.decision_lists import Block, DecisionList, Equal, SearchBudget, Universe, Witness
 from comarmor.patterns.evaluate import permits
@@ -64,13 +64,10 @@ _NAMES: DecisionList = (Block(True, (parse("/?*"),)),)
 _BUDGET = SearchBudget(states=2_000)
 """What a question may cost; one that costs more gets no note."""
 _SERVICES = (_TYPES, *(name for part in ("ros_read", "ros_write") for _, _, name in PARTS["ros_parameter", part]))
-_ASKED = (
-    *(topic.removeprefix("rt/") for _, _, topic in _ALWAYS),
-    *(service + suffix for service in _SERVICES for suffix in ("", "Request", "Reply")),
-)
+_ALL = ("rosout", "parameter_events", "ros_discovery_info", *_SERVICES)
+_ASKED = tuple(name + suffix for name in _ALL for suffix in ("", "Request", "Reply"))
 """How each name ends that a question is about."""
-_Asked = tuple[str, tuple[tuple[str | tuple[str, ...], ...], ...]]
-_quiet: set[_Asked] = set()
+_quiet: set[Hashable] = set()
 """What decided that subjects have no notes: that of most in a fleet is the same."""
 MOST = 1_000
 """Number of these that are remembered."""
@@ -115,24 +112,20 @@ def check_node(rules: SubjectRules, distro: str) -> Iterator[Diagnostic]:
         yield Diagnostic.note("parameter-client-cannot-start", message, where, help_, rules.subject)
 
 
-def _asked(rules: SubjectRules, distro: str) -> _Asked | None:
-    """Return what of the rules decides whether there are notes; None if they have wildcards.
+def _asked(rules: SubjectRules, distro: str) -> Hashable:
+    """Return what decides whether there are notes; None if names alone do not.
 
-    No question is about other names. The subject's own name is replaced, since no answer depends on it.
+    No question is about other names. That of the subject is replaced, since no answer depends on it.
     """
-    subject, found = rules.subject, []
+    subject, texts = rules.subject, (text for rule in rules.rules for text in rule.expressions)
+    if subject.endswith(_ASKED) or any(map(SPECIAL.search, texts)):
+        return None
+    found: list[Hashable] = [distro]
     for rule in rules.rules:
-        if any(map(SPECIAL.search, rule.expressions)):
-            return None
-        names = []
-        for text in rule.expressions:
-            is_node = rule.kind == "ros_parameter"
-            if is_node or text.endswith(_ASKED):
-                is_own = text.startswith(f"{subject}/") or (is_node and text == subject)
-                names.append(f"\0{text[len(subject) :]}" if is_own else text)
-        if names:
-            found.append((rule.effect, rule.kind, rule.permissions, tuple(names), rule.partitions))
-    return distro, tuple(found)
+        names = [text for text in rule.expressions if rule.kind == "ros_parameter" or text.endswith(_ASKED)]
+        own = (f"\0{text[len(subject) :]}" if f"{text}/".startswith(f"{subject}/") else text for text in names)
+        found += [(rule.effect, rule.kind, rule.permissions, tuple(own), rule.partitions)] if names else ()
+    return tuple(found)
 
 
 def _may_serve(lists: _Lists, service: str, subject: str) -> bool:

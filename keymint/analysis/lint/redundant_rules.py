@@ -101,11 +101,10 @@ def _repeat_nothing(rules: Iterable[Rule]) -> bool:
     """Return True if each rule of a subject surely has an effect: it allows names, and no two allow the same name."""
     words: list[tuple[str, str, str]] = []
     for rule in rules:
-        if rule.effect is Effect.DENY or rule.partitions or any(map(SPECIAL.search, rule.expressions)):
+        plain = rule.effect is Effect.ALLOW and rule.permissions and not rule.partitions
+        if not plain or any(map(SPECIAL.search, rule.expressions)):
             return False
-        every_part = [each for permission in rule.permissions for each in parts(rule.kind, permission)]
-        if not every_part:
-            return False
+        every_part = (each for permission in rule.permissions for each in parts(rule.kind, permission))
         words += [(kind, part, text + suffix) for kind, part, suffix in every_part for text in rule.expressions]
     return len(set(words)) == len(words)
 
