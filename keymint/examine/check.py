@@ -130,7 +130,7 @@ def _of_files(session: Session, package: Package, loaded: LoadedEnclave) -> Iter
         message = f"does not belong to the layout {session.profile.layout!r}"
         yield unexpected_file(session, session.enclave(name) / file, message, subject)
     unread = {each.where for each in loaded.unread}
-    key = session.enclave(name) / installed_enclaves.KEY
+    key = f"{session.enclave_folder(name)}/{installed_enclaves.KEY}"
     if session.tree.is_left_out(key):
         unread.add(session.workspace.origin(key))
     for each in dict.fromkeys(each for build_type, own in loaded.seen.values() for each in build_type.check(own)):

@@ -102,15 +102,16 @@ class IdentityCheck:
         try:
             certificate = certificates.load(pem, where)
             certificates.public_key(certificate, where)
-            name = anchors.subject_name
-            expected = distinguished_names.parse(name) if name else certificate.subject
+            name, subject = anchors.subject_name, certificate.subject
+            is_for = not name or distinguished_names.written_name(name).encoded == subject.public_bytes()
+            expected = subject if is_for else distinguished_names.parse(name)  # strings may be of other types
         except KeymintError as error:
             yield from map(self._for_subject, error.diagnostics)
             return
         if authorities:  # else their file is missing, which is reported
             yield from map(self._for_subject, verify_chain(pem, authorities, None, where))
-        if certificate.subject != expected:
-            message = f"is for {to_text(certificate.subject)!r}, not {to_text(expected)!r}"
+        if subject != expected:
+            message = f"is for {to_text(subject)!r}, not {to_text(expected)!r}"
             yield self._error("certificate-subject", CERTIFICATE, message)
         # Where the private key is elsewhere, the package has the public one.
         if anchors.public_key and keys.public_from_pem(anchors.public_key) != certificate.public_key():

@@ -31,7 +31,7 @@ def anchors_of(session: Session, package: Package, build_type: BuildType) -> Tru
     """
     authorities = {role.role: _anchor(session, (role.name,)) for role in build_type.authorities(package)}
     identity, layout, public_key = package.identity, session.profile.layout, package.issuance.public_key
-    if not public_key and session.tree.is_left_out(session.enclave(package.name) / KEY):
+    if not public_key and session.tree.is_left_out(f"{session.enclave_folder(package.name)}/{KEY}"):
         # This user may not read it, and is told so: it is not compared with the certificate.
         certificate = installed_certificate(session, package.name)
         own = certificate and certificate.public_key()
