@@ -126,13 +126,15 @@ class RedundantRules:
     ) -> None:
         self._attachments = attachments
         self._written = written
-        self._plain: dict[str, tuple[Rule, ...]] = {}
         self._subjects: dict[str, _RuleAnalysis] = {}
+        self._plain_at: dict[Spot, list[str]] = defaultdict(list)
+        """The subjects that repeat nothing, by the places of their rules."""
         for subject, rules in with_distinct_rules(subjects.items()):
-            if _repeat_nothing(rules):
-                self._plain[subject] = rules
-            else:
+            if not _repeat_nothing(rules):
                 self._subjects[subject] = _RuleAnalysis(rules, subject, attachments)
+                continue
+            for rule in rules:
+                self._plain_at[rule.origin.spot].append(subject)
         self._subjects_of: dict[_RuleExpression, list[str]] = defaultdict(list)
         for subject, its_rules in self._subjects.items():
             for each in its_rules.expanded:
@@ -140,20 +142,11 @@ class RedundantRules:
         self._count_of_rule = Counter((each.place, each.effect) for each in self._subjects_of)
         self._removed: set[_RuleExpression] = set()
         self._unknown: list[_RuleExpression] = []
-        self._expanded = cache(lambda subject: _RuleAnalysis(self._plain[subject], subject, attachments).expanded)
+        self._expanded = cache(lambda subject: _RuleAnalysis(subjects[subject], subject, attachments).expanded)
 
     @cached_property
     def _book(self) -> SymbolicRules | None:
         return SymbolicRules(self._written) if self._written else None
-
-    @cached_property
-    def _plain_at(self) -> Mapping[Spot, Mapping[str, None]]:
-        """The subjects that repeat nothing, by the places of their rules."""
-        found: dict[Spot, dict[str, None]] = defaultdict(dict)
-        for subject, rules in self._plain.items():
-            for rule in rules:
-                found[rule.origin.spot][subject] = None
-        return found
 
     def _is_needed(self, expression: _RuleExpression) -> bool:
         """Return True if a subject that repeats nothing has an expression."""
