@@ -9,13 +9,13 @@ options can switch most of it off, and an enclave need not have a node, so that 
 from __future__ import annotations
 
 import string
-from collections.abc import Hashable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 from comarmor.patterns.decision_lists import Block, DecisionList, Equal, SearchBudget, Universe, Witness
 from comarmor.patterns.evaluate import permits
 from comarmor.patterns.glob import Glob, left_quotient, parse, right_quotient
 from comarmor.patterns.proofs import difference, escapes
-from comarmor.patterns.tokens import SPECIAL, charset
+from comarmor.patterns.tokens import charset
 from comarmor.rules import PARTS
 from keymint.api import BuildOptions
 from keymint.errors import Diagnostic, KeymintError
@@ -63,14 +63,6 @@ _ROS = Universe(charset((ord(char), ord(char)) for char in f"{string.ascii_lette
 _NAMES: DecisionList = (Block(True, (parse("/?*"),)),)
 _BUDGET = SearchBudget(states=2_000)
 """What a question may cost; one that costs more gets no note."""
-_SERVICES = (_TYPES, *(name for part in ("ros_read", "ros_write") for _, _, name in PARTS["ros_parameter", part]))
-_ALL = ("rosout", "parameter_events", "ros_discovery_info", *_SERVICES)
-_ASKED = tuple(name + suffix for name in _ALL for suffix in ("", "Request", "Reply"))
-"""How each name ends that a question is about."""
-_quiet: set[Hashable] = set()
-"""What decided that subjects have no notes: that of most in a fleet is the same."""
-MOST = 1_000
-"""Number of these that are remembered."""
 _Lists = Mapping[str, DecisionList]
 """The DDS topics that a subject may use, by action."""
 
@@ -80,9 +72,6 @@ def check_node(rules: SubjectRules, distro: str) -> Iterator[Diagnostic]:
     known = [*DISTROS]  # the oldest first
     if known.index(distro) < known.index("foxy"):
         return  # not measured
-    asked = _asked(rules, distro)
-    if asked in _quiet:
-        return
     try:
         lowered = lower(rules, distro)
     except KeymintError:  # whoever compiles the rules reports it
@@ -98,10 +87,7 @@ def check_node(rules: SubjectRules, distro: str) -> Iterator[Diagnostic]:
         if missing[-1].startswith("serve") and (node := _other_node(lists, rules.subject)):
             help_ = f"allow ros_execute on {node}{_TYPES}: common/node.xml has that for a node {rules.subject} only"
         yield Diagnostic.note("node-cannot-start", message + ", ".join(missing), None, help_, rules.subject)
-    server = _read_only(lists)
-    if not missing and server is None and asked is not None and len(_quiet) < MOST:
-        _quiet.add(asked)
-    if server is not None:
+    if (server := _read_only(lists)) is not None:
         message = (
             f"a client of parameters (rclpy, rclcpp, 'ros2 param') cannot start on {release}: it makes clients of all "
             f"six services, and this subject may read parameters, but not set them, e.g. those of {server}"
@@ -110,22 +96,6 @@ def check_node(rules: SubjectRules, distro: str) -> Iterator[Diagnostic]:
         help_ = "add ros_write; or read with a plain client of the service get_parameters"
         where = allowing.origin if allowing else None
         yield Diagnostic.note("parameter-client-cannot-start", message, where, help_, rules.subject)
-
-
-def _asked(rules: SubjectRules, distro: str) -> Hashable:
-    """Return what decides whether there are notes; None if names alone do not.
-
-    No question is about other names. That of the subject is replaced, since no answer depends on it.
-    """
-    subject, texts = rules.subject, (text for rule in rules.rules for text in rule.expressions)
-    if subject.endswith(_ASKED) or any(map(SPECIAL.search, texts)):
-        return None
-    found: list[Hashable] = [distro]
-    for rule in rules.rules:
-        names = [text for text in rule.expressions if rule.kind == "ros_parameter" or text.endswith(_ASKED)]
-        own = (f"\0{text[len(subject) :]}" if f"{text}/".startswith(f"{subject}/") else text for text in names)
-        found += [(rule.effect, rule.kind, rule.permissions, tuple(own), rule.partitions)] if names else ()
-    return tuple(found)
 
 
 def _may_serve(lists: _Lists, service: str, subject: str) -> bool:

@@ -4,17 +4,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from random import Random
 
 import pytest
 from keymint_ros.distros import DISTROS, library
-from keymint_ros2_dds import build_type, rule_check
+from keymint_ros2_dds import build_type
 
 import comarmor
 from comarmor.errors import Diagnostic, Origin, Severity
-from comarmor.rules import PERMISSIONS, Effect, Rule
+from comarmor.rules import Effect, Rule
 from keymint.ir import SubjectRules
-from tests.effort import tries
 
 NODE, CLIENT = "node-cannot-start", "parameter-client-cannot-start"
 ASKED = {
@@ -177,75 +175,3 @@ def test_a_client_that_may_read_but_not_write(tmp_path: Path, rules: list[str], 
 def test_what_cannot_be_compiled_has_its_own_finding(tmp_path: Path) -> None:
     odd = Rule(Effect.ALLOW, "ros_topic", ("ros_publish",), ("/[[:nope:]]",), (), False, Origin("table.csv", 2))
     assert [*build_type.check_node(SubjectRules("/n", (odd,)), "jazzy")] == []
-
-
-def _drawn(rng: Random) -> SubjectRules:
-    """Draw a subject that may start in most cases, with other rules that matter for some."""
-    subject = rng.choice(("/n", "/a/n", "/rosout", "/n/get_parameters"))
-    own = (f"{subject}/get_type_description", f"{subject}/get_parameters", f"{subject}/x", subject)
-    others = (*own, "/n", "/other", "/n/get_type_description", "/other/set_parameters", "/rosout", "/my_rosout", "/r*")
-    rules = [
-        Rule(Effect.ALLOW, kind, (permission,), (name,), (), False, Origin("p.xml", at))
-        for at, (kind, name, permission) in enumerate([*ASKED.values(), ("ros_service", own[0], "ros_execute")])
-        if name != "/any/node/get_type_description" and rng.random() < 0.97
-    ]
-    for at in range(20, 20 + rng.randint(0, 3)):
-        kind = rng.choice(("ros_topic", "ros_service", "ros_parameter"))
-        permissions = tuple(rng.sample(PERMISSIONS[kind][:2], rng.randint(1, 2)))
-        effect = Effect.DENY if rng.random() < 0.2 else Effect.ALLOW
-        rules.append(Rule(effect, kind, permissions, (rng.choice(others),), (), False, Origin("p.xml", at)))
-    rng.shuffle(rules)
-    return SubjectRules(subject, tuple(rules))
-
-
-def _subject(name: str, *more: tuple[str, str, str], lacking: str = "") -> SubjectRules:
-    """Return a subject with all rights that a node needs but one, and with more rights."""
-    own = ("ros_service", f"{name}/get_type_description", "ros_execute")
-    rights = [right for words, right in ASKED.items() if words not in {lacking, [*ASKED][-1]}]
-    return SubjectRules(
-        name,
-        tuple(
-            Rule(Effect.ALLOW, kind, (permission,), (text,), (), False, Origin("p.xml", at))
-            for at, (kind, text, permission) in enumerate([*rights, own, *more])
-        ),
-    )
-
-
-SETTING = ("/set_parameters", "/set_parameters_atomically")
-
-
-@pytest.mark.parametrize(
-    ("starts", "does_not"),
-    [
-        # A name that counts because it is the subject's own one, or although it is.
-        (
-            _subject("/rosout", ("ros_topic", "/rosout", "ros_publish"), lacking="publish /rosout"),
-            _subject("/my_rosout", ("ros_topic", "/my_rosout", "ros_publish"), lacking="publish /rosout"),
-        ),
-        (
-            _subject(
-                "/n",
-                ("ros_parameter", "/n", "ros_read"),
-                *(("ros_service", f"/n{each}", "ros_call") for each in SETTING),
-            ),
-            _subject(
-                "/m",
-                ("ros_parameter", "/n", "ros_read"),
-                *(("ros_service", f"/m{each}", "ros_call") for each in SETTING),
-            ),
-        ),
-    ],
-)
-def test_a_subject_that_is_nearly_like_one_without_notes(starts: SubjectRules, does_not: SubjectRules) -> None:
-    assert [*build_type.check_node(starts, "jazzy")] == []
-    assert [*build_type.check_node(does_not, "jazzy")]
-
-
-def test_subjects_that_were_asked_before_change_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rule_check, "_quiet", set())
-    for seed in range(tries(1_000, 20_000)):
-        rules = _drawn(Random(seed))
-        found = [*rule_check.check_node(rules, "jazzy")]
-        with monkeypatch.context() as patch:
-            patch.setattr(rule_check, "_quiet", set())
-            assert found == [*rule_check.check_node(rules, "jazzy")], rules
