@@ -231,11 +231,9 @@ def check(
         partial(map, lambda each: examine(session, each, keyring), part) for part in parts
     ]
     around = outside_enclaves(session, within), file_status(session), git_exposure(session), _deciding(session)
-    of_keys = elsewhere(session), encryption(session), exposed_keys(session)
-    # What is last this process does itself.
-    tasks.append(lambda: (*map(tuple, around), tuple(chain(*of_keys)), beside()))
+    tasks.append(lambda: (*map(tuple, around), beside()))  # what is last this process does itself
     pool = pool if len(parts) > 1 else Pool(1)
-    *rest, (outside, of_files, of_git, decides, owned, more) = pool.map(lambda task: tuple(task()), tasks)
+    *rest, (outside, of_files, of_git, decides, more) = pool.map(lambda task: tuple(task()), tasks)
     enclaves = [*first, *chain.from_iterable(rest)]
     findings = [finding for _, _, of_enclave in enclaves for finding in of_enclave]
     seen = [each.seen for each in loaded if not each.is_absent]
@@ -246,7 +244,7 @@ def check(
     findings += (each for each in decides if each not in findings)  # the defects of packages are found above
     fingerprints = {name: fingerprint for name, fingerprint, _ in enclaves if fingerprint}
     findings += shared_keys(session, fingerprints)
-    findings += owned
+    findings += (*elsewhere(session), *encryption(session), *exposed_keys(session))
     findings += outside
     told = {(each.code, each.where) for each in of_authorities}  # e.g. that an authority has no certificate
     findings = [each for each in findings if (each.code, each.where) not in told]

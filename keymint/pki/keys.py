@@ -309,8 +309,7 @@ def public_to_pem(key: PublicKey) -> bytes:
 
 def has_private_key(content: bytes) -> bool:
     """Tell whether a file has a private key of any kind, or may have one."""
-    is_pem = any(mark in content for mark in _MARKS)
-    return is_pem or (content.startswith(_SEQUENCE) and any(True for _ in _each(content)))
+    return any(mark in content for mark in _MARKS) or (content[:1] == _SEQUENCE and any(True for _ in _each(content)))
 
 
 def is_all_public(content: bytes) -> bool:

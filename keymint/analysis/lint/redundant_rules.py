@@ -90,10 +90,8 @@ class _RuleAnalysis:
     def index(self, key: PermissionKey, effect: Effect) -> PatternIndex[_RuleExpression]:
         """Return the patterns of a kind, permission and effect with their expressions."""
         if (key, effect) not in self._index:
-            of_effect = ((each, texts) for each, texts in self._texts.items() if each.effect is effect)
-            having = ((each, *of) for each, texts in of_effect for of in texts if key in permission_keys(of[0]))
-            items = ((pattern, each) for each, rule, text in having for pattern in rule_patterns(rule, text, key))
-            self._index[key, effect] = PatternIndex(items)
+            patterns = ((each, *of) for each in self._texts if each.effect is effect for of in self.patterns(each))
+            self._index[key, effect] = PatternIndex((pattern, each) for each, own, pattern in patterns if own == key)
         return self._index[key, effect]
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import timedelta
+from functools import partial
 from pathlib import Path
 
 from comarmor.text import did_you_mean, quantity
@@ -67,14 +68,8 @@ def check(
     """
     session = run.session(auditing=True)
     chosen = names.packages(run, session)
-
-    def prove() -> tuple[State, tuple[Diagnostic, ...]]:
-        if no_prove:
-            return session.state, ()
-        effort = ProofEffort(run.setting.monotonic, standard_only=allow_vendor_specific)
-        enclaves = with_enclaves(session, chosen, named=False)
-        return _proven(session, enclaves, effort, run.pool, fresh=fresh, strict=strict)
-
+    effort = None if no_prove else ProofEffort(run.setting.monotonic, standard_only=allow_vendor_specific)
+    prove = partial(_proven, session, chosen, effort, run.pool, fresh=fresh, strict=strict)
     of_keystore, (state, of_proof) = find(session, chosen, within, run.pool, prove)
     known = {(each.code, each.where and each.where.file) for each in of_keystore}
     new = (each for each in of_proof if (each.code, each.where and each.where.file) not in known)
@@ -106,11 +101,12 @@ def check(
 
 
 def _proven(
-    session: Session, names: Sequence[str], effort: ProofEffort, pool: Pool, *, fresh: bool, strict: bool
+    session: Session, packages: Sequence[str], effort: ProofEffort | None, pool: Pool, *, fresh: bool, strict: bool
 ) -> tuple[State, tuple[Diagnostic, ...]]:
-    """Return the record to keep, and the findings of the proof; a workspace without a policy has none."""
-    if not session.profile.policies:
+    """Return the record to keep, and the findings of the proof; without an effort or a policy there are none."""
+    if effort is None or not session.profile.policies:
         return session.state, ()
+    names = with_enclaves(session, packages, named=False)
     if fresh:
         proven = tuple(session.state.stamps.get(STAGE, ()))
         session = replace(session, state=session.state.updated(STAGE, {}, proven))
