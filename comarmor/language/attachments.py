@@ -8,7 +8,6 @@ notation, so that concatenated pieces do not change each other's meaning.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import field
 from enum import StrEnum
 from functools import partial
 from itertools import product
@@ -18,7 +17,7 @@ from comarmor.errors import ComArmorError, Origin, Spot
 from comarmor.patterns.expression import canonical, escape
 from comarmor.patterns.tokens import COMARMOR, Bracket, next_token
 from comarmor.text import did_you_mean, lazy_regex, quote
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field
 
 
 class Placeholder(StrEnum):

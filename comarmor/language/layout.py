@@ -10,11 +10,10 @@ from __future__ import annotations
 import unicodedata
 from codecs import BOM_UTF8, BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Iterator
-from dataclasses import field
 from xml.parsers import expat  # nosec - only documents that comarmor.xml.reader accepts, which refuses every DOCTYPE
 
 from comarmor.language.attachments import strip
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field
 
 TEXT = frozenset(("attachment", "value", "partition"))
 """The elements that contain text; all others contain elements only."""

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import field, replace
 
 from lxml import etree
 
@@ -18,7 +17,7 @@ from comarmor.language.syntax import Attachment, Inclusion, Profile, ProfileRule
 from comarmor.patterns.expression import literal
 from comarmor.rules import PERMISSIONS, Effect
 from comarmor.text import quote
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field, replace
 from comarmor.xml import schema
 
 _DEEPEST = 64

@@ -4,14 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import field
 from pathlib import Path
 
 from lxml import etree
 
 from comarmor.errors import ComArmorError, Origin
 from comarmor.text import did_you_mean, quote
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field
 from comarmor.xml.package_folders import ShippedFile
 from comarmor.xml.reader import line, place
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 import hashlib
 import posixpath
 from collections.abc import Callable, Sequence
-from dataclasses import field, replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -21,7 +20,7 @@ from comarmor.errors import ComArmorError, Origin
 from comarmor.language.policy_files import IncludeFormat, PolicyFile, PolicyFiles, ShortDocument, href_of
 from comarmor.rules import PERMISSIONS
 from comarmor.text import quote
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field, replace
 from comarmor.xml.package_folders import PackageFolders, ShippedFile
 from comarmor.xml.reader import LIMITS, XINCLUDE, Limits, parse, place
 from comarmor.xml.sandboxed_paths import SandboxedFolder, checked_path, file_errors, package_path, path_of, path_text

@@ -7,10 +7,9 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 
-from comarmor.errors import Defects, Diagnostic, Origin
 from comarmor.text import quantity
 from keymint.api import BuildOptions, BuildResult, LoadedPolicy, Package
-from keymint.errors import KeymintError
+from keymint.errors import Defects, Diagnostic, KeymintError, Origin
 from keymint.life import terms
 from keymint.life.terms import Term
 from keymint.life.workspace_register import register_of

@@ -14,12 +14,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
-from comarmor.errors import Diagnostic
 from comarmor.text import lazy_regex
 from keymint import api
 from keymint.authority.authorities import Authorities
 from keymint.authority.authority_files import trusted_chains
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError
 from keymint.names import subject_of
 from keymint.stages.identities import Signers, authority_of
 from keymint.stages.work import PackagePlan

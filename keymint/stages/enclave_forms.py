@@ -9,11 +9,10 @@ read again: see ADR 0040.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from datetime import datetime
 from enum import StrEnum
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from keymint.authority.authorities import Authorities
 from keymint.errors import KeymintError
 from keymint.life.register import IssuedCertificate, SignedRights

@@ -5,9 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from comarmor.errors import Diagnostic
 from keymint.api import EnvironmentVariable
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError
 from keymint.host.shells import MARK, SHELLS, script, variable_values
 from keymint.names import subject_of
 from keymint.store.changes import Action, File, Step, folder_changes

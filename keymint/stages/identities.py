@@ -14,11 +14,10 @@ from typing import Any
 
 from cryptography import x509
 
-from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Artifact, Credentials, Package, SigningAuthority
 from keymint.authority.authorities import Authorities, MintedAuthority
 from keymint.authority.authority_files import trusted_chains
-from keymint.errors import KeymintError, known_authority
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity, known_authority
 from keymint.life.register import SUPERSEDED, IssuedCertificate, Register
 from keymint.life.revocation_lists_in_force import enclave_lists
 from keymint.life.workspace_register import entry_of, has_register, issuer_of, outdated_register, register_of

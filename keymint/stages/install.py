@@ -11,11 +11,10 @@ from typing import Any
 
 from cryptography import x509
 
-from comarmor.errors import Diagnostic, Severity
 from keymint.api import Package, lazy
 from keymint.authority.authorities import Authorities
 from keymint.authority.authority_files import chains_digest
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Severity
 from keymint.life import revocation_lists_in_force, terms, workspace_register
 from keymint.life.examine import Keyring, orphan_findings, replaced_rights, shared_keys
 from keymint.life.register import SignedRights

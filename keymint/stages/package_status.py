@@ -7,11 +7,10 @@ import contextlib
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from datetime import datetime
 
-from comarmor.errors import Defects, Diagnostic
 from comarmor.values import dataclass
 from keymint.api import BuildOptions, LoadedPolicy, Role
 from keymint.authority import authorities
-from keymint.errors import KeymintError
+from keymint.errors import Defects, Diagnostic, KeymintError
 from keymint.life.renewal_schedule import CERTIFICATE, PERMISSIONS, enclave_terms, first_due
 from keymint.life.terms import DEFAULT, Term, recorded_terms
 from keymint.life.workspace_register import register_of, withdrawn

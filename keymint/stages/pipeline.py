@@ -8,17 +8,16 @@ revocation lists for the other enclaves.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import field, replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
-from comarmor.errors import Diagnostic
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field, replace
 from keymint.api import LoadedPolicy, Role, lazy
 from keymint.authority.authorities import Authorities, plan_authorities
 from keymint.authority.authority_files import current_rollover, trusted_chains
+from keymint.errors import Diagnostic
 from keymint.life.examine import RIGHTS_OUTLIVE
 from keymint.life.register import SUPERSEDED
 from keymint.life.revocation_lists_in_force import enclave_lists, plan_lists, require_nothing_lost

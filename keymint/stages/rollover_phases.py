@@ -10,18 +10,16 @@ from __future__ import annotations
 
 import stat
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
-from comarmor.errors import Diagnostic, Origin
 from comarmor.text import quantity
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from keymint.api import Phase
 from keymint.authority import rollover
 from keymint.authority.authorities import Authorities, authority_named, plan_authorities
 from keymint.authority.authority_changes import GivenAuthority, refusing_implementations
 from keymint.authority.authority_files import FORMER, NEXT
-from keymint.errors import KeymintError, usage_error
+from keymint.errors import Diagnostic, KeymintError, Origin, usage_error
 from keymint.life.revocation_lists_in_force import plan_lists
 from keymint.names import subject_of
 from keymint.pki import certificates

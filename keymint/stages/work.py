@@ -8,15 +8,13 @@ So other processes may do the first part.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import field, replace
 from functools import reduce
 from typing import Any, Self
 
-from comarmor.errors import Diagnostic
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field, replace
 from keymint.api import Artifact, BuildOptions, LoadedPolicy, Package
 from keymint.authority.examine import contradictions
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError
 from keymint.ir import SubjectRules
 from keymint.life.register import IssuedCertificate, SignedRights
 from keymint.life.revocation_lists_in_force import lists

@@ -11,13 +11,11 @@ import itertools
 import os
 import shlex
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from comarmor.errors import Diagnostic
-from comarmor.values import dataclass
-from keymint.errors import KeymintError
+from comarmor.values import dataclass, replace
+from keymint.errors import Diagnostic, KeymintError
 from keymint.names import subject_list, subject_of
 from keymint.store.file_writing import check_component
 from keymint.store.group_commit import commit, waiting_name

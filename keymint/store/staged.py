@@ -16,11 +16,10 @@ import errno
 import os
 import stat
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import field
 from importlib import import_module
 from typing import Any, NoReturn
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field
 from keymint.store import file_writing
 from keymint.store.changes import File, FolderChange
 from keymint.store.file_writing import FILE, FOLDER, NEW_FILE, open_at, reported, temporary

@@ -7,9 +7,8 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import partial
 
-from comarmor.errors import Diagnostic, Severity
 from keymint.api import LoadedPolicy, Proof
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import Diagnostic, ExitCode, KeymintError, Severity
 from keymint.names import name_of
 from keymint.stages.create import CHANGED
 from keymint.stages.documents import HAND_EDITED

@@ -11,16 +11,14 @@ import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from datetime import datetime
 from functools import lru_cache
 
-from comarmor.errors import Diagnostic, Origin
 from comarmor.patterns import glob
 from comarmor.patterns.steps import StepLimitError, step_limit
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from keymint.api import Claim, Counterexample, DomainRange, Proof, ValidityTerm
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.ir import Kind, Rule, SubjectRules, once_of_kind
 from keymint.life import terms
 from keymint.names import name_of

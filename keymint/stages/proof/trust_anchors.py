@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from comarmor.errors import Diagnostic
 from keymint.api import BuildType, EnclaveFiles, Package, TrustAnchor, TrustAnchors
 from keymint.authority.authority_files import trusted_chains
 from keymint.authority.examine import contradictions_for
+from keymint.errors import Diagnostic
 from keymint.pki import keys
 from keymint.stages.documents import installed_documents, shared_roles
 from keymint.workspace.installed_enclaves import INSTALLED, KEY, enclave_files, installed_certificate
