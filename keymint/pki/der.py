@@ -7,6 +7,7 @@ strict: it refuses every encoding but the canonical one, so that an altered byte
 
 from __future__ import annotations
 
+import struct
 from binascii import b2a_base64
 
 from cryptography import x509
@@ -41,8 +42,10 @@ def tlv(tag: int, *parts: bytes) -> bytes:
 
 def base64_lines(content: bytes) -> bytes:
     """Return the base64 of a content in lines of :data:`BASE64_LINE` characters, each with a line feed."""
-    size = BASE64_LINE // 4 * 3
-    return b"".join([b2a_base64(content[start : start + size]) for start in range(0, len(content), size)])
+    text = b2a_base64(content, newline=False)
+    whole, rest = divmod(len(text), BASE64_LINE)
+    lines = struct.unpack(f"{f'{BASE64_LINE}s' * whole}{rest}s", text)  # the last one is empty if there is no rest
+    return b"\n".join((*lines, b"") if rest else lines)
 
 
 def oid(dotted: str) -> bytes:
