@@ -10,6 +10,7 @@ import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import lru_cache
 from itertools import chain
 from typing import TYPE_CHECKING
 
@@ -220,8 +221,9 @@ class ProofStage(PackageStage):
         written = {proof_results.WRITTEN: digest(new.written)} if new.written else {}
         own = {proof_results.RULES: proof_results.placeless_digest((new.rules,)), **written}
         outputs, names = first.stamp.outputs if first.stamp else {}, dict(zip(*values, strict=False))
-        found = re.compile("|".join(map(re.escape, sorted(names, key=len, reverse=True))) or "(?!)")
-        dates = found.sub(lambda value: names[value[0]], outputs.get(proof_results.TERMS, ""))
+        dates = _any_of(values[0]).sub(
+            lambda value: names.get(value[0], value[0]), outputs.get(proof_results.TERMS, "")
+        )
         return {**outputs, **own, proof_results.TERMS: dates}
 
     def _across(self, name: str, names: Sequence[str]) -> EnclaveProof:
@@ -368,6 +370,11 @@ class ProofStage(PackageStage):
         """Return the policy's rules for a subject; none for infrastructure, even if a profile is for every subject."""
         of_subject = self._session.role(name_of(subject)) is api.Role.SUBJECT
         return (self._policy.rules(subject) if of_subject else None) or SubjectRules(subject, ())
+
+
+@lru_cache(maxsize=64)
+def _any_of(values: tuple[str, ...]) -> re.Pattern[str]:
+    return re.compile("|".join(map(re.escape, sorted(values, key=len, reverse=True))) or "(?!)")
 
 
 def _differing(values: Sequence[str], others: Sequence[str]) -> tuple[bool, ...]:
