@@ -96,7 +96,8 @@ def register_findings(session: Session) -> Iterator[Diagnostic]:
             yield Diagnostic.error("certificate-revoked", message, where, help_, package.subject)
         else:
             # One that another tool issued is kept with its dates, also beyond those of its issuer.
-            adopted = certificates.certificate_in(package.issuance.certificate) == certificate
+            kept = package.issuance.certificate
+            adopted = bool(kept) and certificates.certificate_in(kept) == certificate
             wanted = certificate_forms.validity_within(package.identity.validity, None if adopted else issuer)
             if (first, last) != (wanted.not_before, wanted.not_after):
                 text = f"is in force from {iso_time(first)} to {iso_time(last)}, which is not what the sources ask for"

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
-PARTS_FOR_EACH = 8
+PARTS_FOR_EACH = 16
 """Parts of the work for each process: a part that takes longer than the others delays the end less."""
 
 

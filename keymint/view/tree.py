@@ -369,7 +369,7 @@ class Tree:
             return known
         try:
             with os.scandir(folder) as entries:
-                found = dict(sorted((entry.name, entry.is_dir(follow_symlinks=False)) for entry in entries))
+                found = dict(sorted([(entry.name, entry.is_dir(follow_symlinks=False)) for entry in entries]))
         except (FileNotFoundError, NotADirectoryError):
             return {}
         except OSError as error:

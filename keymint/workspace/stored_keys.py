@@ -124,7 +124,7 @@ def known_fingerprint(session: Session, name: str) -> str:
     installed the subject has none: the user may replace the minted key with one of their own.
     """
     recorded = recorded_key(session.state, IDENTITY_KEYS, name)
-    if recorded and session.state.stamp(INSTALLED, name):
+    if recorded and name in session.state.stamps.get(INSTALLED, {}):
         return recorded
     certificate = installed_certificate(session, name)
     return (recorded or certificates.fingerprint(certificate)) if certificate else ""

@@ -23,7 +23,7 @@ def test_parts_together_are_all_items_in_order(items: list[int], number: int) ->
 
 
 @pytest.mark.parametrize(
-    ("size", "items", "least", "parts"), [(1, 100, 1, 1), (2, 100, 1, 16), (2, 100, 40, 2), (4, 3, 9, 1)]
+    ("size", "items", "least", "parts"), [(1, 100, 1, 1), (2, 100, 1, 32), (2, 100, 40, 2), (4, 3, 9, 1)]
 )
 def test_little_work_stays_in_one_part(size: int, items: int, least: int, parts: int) -> None:
     assert len(Pool(size).parts(range(items), least)) == parts
