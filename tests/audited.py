@@ -47,7 +47,7 @@ class Recorder:
     def _kind(event: str, arguments: tuple[Any, ...]) -> str:
         if event == "open":
             return "write" if arguments[2] & WRITING else "read"
-        if event == "sqlite3.connect" and arguments[0] == ":memory:":
+        if event == "sqlite3.connect" and str(arguments[0]).endswith((":memory:", "?vfs=memdb")):  # no file
             return ""
         if event in CHANGES:
             return "write"
