@@ -28,6 +28,7 @@ from dataclasses import fields, is_dataclass, replace
 from datetime import datetime
 from functools import partial
 from operator import attrgetter
+from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from keymint.authority.authorities import STAGE as AUTHORITIES
@@ -308,10 +309,19 @@ def _work(pipe: Connection, inherited: Sequence[Connection], task: _Task) -> Non
     gc.freeze()  # a search for cycles among the parent's objects would copy their pages
     for each in inherited:  # otherwise this process would not see that the parent ended
         each.close()
+    answers: SimpleQueue[memoryview | None] = SimpleQueue()
+
+    def deliver() -> None:
+        with contextlib.suppress(OSError):  # the parent ended
+            for answer in iter(answers.get, None):
+                pipe.send_bytes(answer)
 
     def send(*answer: object) -> None:
-        pipe.send_bytes(_pickled(*answer))
+        answers.put(_pickled(*answer))
 
+    # A pipe takes little before the parent reads, which plans a part itself: this process must not wait for that.
+    sender = threading.Thread(target=deliver, daemon=True)
+    sender.start()
     with contextlib.suppress(EOFError, OSError):
         try:
             with _refusing(send):
@@ -324,6 +334,8 @@ def _work(pipe: Connection, inherited: Sequence[Connection], task: _Task) -> Non
             import traceback  # noqa: PLC0415 - few runs need it
 
             send(_CRASHED, f"{type(error).__name__}: {error}", traceback.format_exc())
+    answers.put(None)
+    sender.join()
 
 
 def _staged_parts(store: Store, changes: _Changes) -> list[list[Exchange]]:
