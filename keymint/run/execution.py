@@ -45,7 +45,7 @@ from keymint.store.journal import Journal
 from keymint.store.staged import Exchange
 from keymint.store.store import Store, clock
 from keymint.view.recorded_answers import Answer, Call, FolderStatus, Sight, is_recordable, name_of, record
-from keymint.view.stamps import compact, digest, one_of, row_of
+from keymint.view.stamps import Stamp, compact, digest, one_of
 from keymint.view.tree import Tree
 from keymint.workspace.package_build_types import BUILD, may_share
 from keymint.workspace.policy_loading import recorded_files
@@ -97,7 +97,6 @@ class Workers(Crew):
         """What this process answers itself."""
         self._sources: Sequence[Callable[[], Any]] = ()
         """What returns the next answer of each process, this one first."""
-        self._changes: _Changes = ()
 
     def start(self, session: Session, names: Sequence[str], stages: _Stages) -> None:
         """See :meth:`keymint.stages.work.Crew.start`."""
@@ -130,7 +129,8 @@ class Workers(Crew):
             self._pipes.append(here)
         self._sources = [lambda: self._own.pop(0), *(partial(_received, pipe) for pipe in self._pipes)]
         with _refusing(self._answer):
-            self._changes = _planned_in_parts(self._answer, (session, parts[0], stages, self.new))
+            for planned, _ in _plan((session, parts[0], stages, self.new)):
+                self._answer(_DONE, planned)
 
     def _answer(self, *answer: object) -> None:
         self._own.append(answer)
@@ -142,11 +142,12 @@ class Workers(Crew):
         found = (each for source in self._sources for part in _answers(source) for each in part)
         return [_plan_of(each) if isinstance(each, tuple) else each for each in found]
 
-    def stage(self, store: Store) -> list[Exchange]:
+    def stage(self, store: Store, changes: Iterable[FolderChange]) -> list[Exchange]:
         """Let the processes stage what they planned, and return it in the order of stages.
 
         Args:
-            store: discards what some staged if others fail.
+            store: stages what this process has, and discards what some staged if others fail.
+            changes: what this process has, which comes first.
 
         Raises:
             KeymintError: the system refuses a write; what others staged is discarded.
@@ -158,7 +159,7 @@ class Workers(Crew):
         by_process: list[list[Sequence[Exchange]]] = []
         errors: list[KeymintError] = []
         with _refusing(self._answer):
-            self._answer(_DONE, _staged_parts(store, self._changes))
+            self._answer(_DONE, [store.stage(changes)])
         for source in self._sources:
             try:
                 by_process += _answers(source)
@@ -168,7 +169,8 @@ class Workers(Crew):
             for staged in itertools.chain(*by_process):
                 store.discard(staged)
             raise errors[0]
-        return [each for of_stage in zip(*by_process, strict=True) for staged in of_stage for each in staged]
+        of_stages = itertools.zip_longest(*by_process, fillvalue=())
+        return [each for of_stage in of_stages for staged in of_stage for each in staged]
 
     def seen(self) -> Mapping[str, FolderStatus]:
         """Return the status of the new folders that the processes staged; it takes memory, so it is asked late."""
@@ -193,7 +195,6 @@ class Workers(Crew):
         self._processes.clear()
         self._pipes.clear()
         self._own.clear()
-        self._changes = ()
 
 
 def _shares(size: int, count: int) -> list[float]:
@@ -328,7 +329,7 @@ def _work(pipe: Connection, inherited: Sequence[Connection], task: _Task) -> Non
                 changes = _planned_in_parts(send, task)
                 pipe.recv()
                 store = open_store(task[0].workspace)
-                send(_DONE, _staged_parts(store, changes))
+                send(_DONE, [[each for part in of_stage for each in store.stage(part)] for of_stage in changes])
                 send(_DONE, [*store.seen.items()])
         except Exception as error:  # noqa: BLE001 - the parent reports it
             import traceback  # noqa: PLC0415 - few runs need it
@@ -336,11 +337,6 @@ def _work(pipe: Connection, inherited: Sequence[Connection], task: _Task) -> Non
             send(_CRASHED, f"{type(error).__name__}: {error}", traceback.format_exc())
     answers.put(None)
     sender.join()
-
-
-def _staged_parts(store: Store, changes: _Changes) -> list[list[Exchange]]:
-    """Stage what one process planned, by stage."""
-    return [[each for part in of_stage for each in store.stage(part)] for of_stage in changes]
 
 
 def _planned_in_parts(send: _Send, task: _Task) -> _Changes:
@@ -360,12 +356,13 @@ def _planned_in_parts(send: _Send, task: _Task) -> _Changes:
         planned = _plan((session.apart(), part, stages[: len(answers)], new))
         for number, of_stage in enumerate(answers):
             try:
-                plans, changed = next(planned)
+                found, changed = next(planned)
             except KeymintError as error:
                 refused = error
             except StopIteration:  # a package has errors, which the parent reports without what comes after it
                 refused = None
             else:
+                plans = [_row(each) if isinstance(each, PackagePlan) else each for each in found]
                 of_stage.append((_DONE if is_last else _PART, plans))
                 changes[number].append(PackedChanges(changed) if len(parts) > 1 else changed)
                 while is_last and of_stage:
@@ -379,14 +376,14 @@ def _planned_in_parts(send: _Send, task: _Task) -> _Changes:
 
 
 def _plan(task: _Task) -> Iterator[tuple[list[Any], list[FolderChange]]]:
-    """Plan packages, and yield the plans of each stage without their bytes, and the changes of each stage."""
+    """Plan packages, and yield the plans of each stage, and their changes."""
     session, names, stages, new = task
     for start in stages:
         stage = start(session)
         planned = planned_by(stage, names, new)
         plans = [each for each in planned if isinstance(each, PackagePlan)]
         changes = [change for each in plans if each.step for change in each.step.changes]
-        yield [_row(each) if isinstance(each, PackagePlan) else each for each in planned], changes
+        yield planned, changes
         if any(each.errors for each in plans):
             return
         session = session_after(session, stage.NAME, plans)
@@ -403,7 +400,7 @@ def _row(plan: PackagePlan) -> tuple[Any, ...]:
     return (
         plan.name,
         step and (step.stage, step.package, step.action, changes, step.detail, step.sizes),
-        stamp and row_of(stamp),
+        stamp.row if isinstance(stamp, Stamp) else stamp,
         _OTHERS(plan),
     )
 
@@ -516,8 +513,7 @@ def _staged(
     others = replace(plan, steps=tuple(step for step in plan.steps if step.action is not Action.REMOVED))
     staged: list[Exchange] = []
     try:
-        staged += store.stage(others.changes())
-        staged += workers.stage(store)
+        staged += workers.stage(store, others.changes())
         _trim()  # the record of a large fleet takes memory, too
         staged += store.stage((*removals.changes(), *record()))
     except BaseException:

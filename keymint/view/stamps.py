@@ -13,7 +13,7 @@ import hashlib
 import itertools
 import json
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar, cast
 
 from comarmor.values import dataclass, field
 
@@ -118,6 +118,14 @@ class Stamp:
     context: str = ""
     lifetimes: str = ""
     build_types: tuple[str, ...] = ()
+    _row: StampRow | None = field(default=None, init=False, repr=False, compare=False)
+
+    @property
+    def row(self) -> StampRow:
+        """The stamp as it is written."""
+        if self._row is None:
+            object.__setattr__(self, "_row", _row(self))
+        return cast("StampRow", self._row)
 
 
 class _Form(NamedTuple):
@@ -149,10 +157,7 @@ StampRow = tuple[_Form, bytes]
 """A form, and what is the package's own: texts with tabs in between."""
 
 
-def row_of(stamp: Stamp | StampRow) -> StampRow:
-    """Return a stamp as it is written."""
-    if isinstance(stamp, tuple):
-        return stamp
+def _row(stamp: Stamp) -> StampRow:
     files = tuple(sorted(stamp.outputs))
     texts = [stamp.inputs, stamp.context, stamp.lifetimes, *map(stamp.outputs.__getitem__, files)]
     common, own = list[tuple[str, ...]](), list[str]()
@@ -189,7 +194,11 @@ class Stamps(Mapping[str, Stamp]):
     @classmethod
     def of(cls, stamps: Mapping[str, Stamp] | Mapping[str, Stamp | StampRow]) -> Stamps:
         """Return the mapping with the same stamps."""
-        return stamps if isinstance(stamps, Stamps) else cls({name: row_of(stamp) for name, stamp in stamps.items()})
+        return (
+            stamps
+            if isinstance(stamps, Stamps)
+            else cls({name: stamp if isinstance(stamp, tuple) else stamp.row for name, stamp in stamps.items()})
+        )
 
     def __getitem__(self, name: str) -> Stamp:
         form, line = self.rows[name]
