@@ -213,7 +213,7 @@ class Staging:
                     replaces=True, changed=dict(content.changed()), carried=carried, size=len(changing),
                 )  # fmt: skip
                 with self._staging(parent, exchange) as staged:
-                    stage(old, parent, staged, shown, content, carried)
+                    stage(old, parent, staged, shown, content, carried, self._seen)
                 return
             if content.private:
                 close_to_others(old)
@@ -281,7 +281,14 @@ def rmtree(folder: str, **how: Any) -> None:
 
 
 def stage(
-    old: int, new_parent: int, name: str, shown: str, content: FolderContent, carried: dict[str, int], inside: str = ""
+    old: int,
+    new_parent: int,
+    name: str,
+    shown: str,
+    content: FolderContent,
+    carried: dict[str, int],
+    seen: dict[str, FolderStatus],
+    inside: str = "",
 ) -> None:
     """Create the replacement of a folder, unless it would be empty.
 
@@ -292,7 +299,8 @@ def stage(
         shown: path of the existing folder, for messages.
         content: its new content.
         carried: receives the inode of each file that is carried over, by its path.
-        inside: begin of these paths.
+        seen: receives the status of new folders; see :func:`add`.
+        inside: begin of the paths in ``carried``.
 
     Raises:
         KeymintError: the system refuses, a link or another kind of file is in the way, or a file system is mounted
@@ -306,14 +314,14 @@ def stage(
         with open_at(name, new_parent) as new:
             file_writing.give(new, (status.st_uid, status.st_gid))
             _copy_attributes(old, new)
-            _carry(old, new, shown, content, carried, inside)
+            _carry(old, new, shown, content, carried, seen, inside)
             for file, changed in content.files.items():
                 replaced = file_writing.require_regular(old, shown, file, or_link=changed.replaces_link) or status
                 file_writing.create(new, shown, file, changed, (replaced.st_uid, replaced.st_gid))
             there = {each.name for each in os.scandir(new) if each.is_dir()}
             for inner, below in content.folders.items():
                 if below.writes() and inner not in there:
-                    add(new, inner, f"{shown}/{inner}", below, {})
+                    add(new, inner, f"{shown}/{inner}", below, seen)
             if content.removes() and not list(os.scandir(new)):
                 os.rmdir(name, dir_fd=new_parent)
                 return
@@ -321,7 +329,15 @@ def stage(
             os.fchmod(new, 0o700 if content.private and mode & 0o077 else mode)
 
 
-def _carry(old: int, new: int, shown: str, content: FolderContent, carried: dict[str, int], inside: str) -> None:
+def _carry(
+    old: int,
+    new: int,
+    shown: str,
+    content: FolderContent,
+    carried: dict[str, int],
+    seen: dict[str, FolderStatus],
+    inside: str,
+) -> None:
     """Carry over the entries that do not change, and stage the subfolders."""
     mount = file_writing.mount_of(old)
     for entry in sorted(os.scandir(old), key=lambda entry: entry.name):
@@ -335,7 +351,7 @@ def _carry(old: int, new: int, shown: str, content: FolderContent, carried: dict
                 if file_writing.mount_of(inner) != mount:
                     refuse_mount(f"{shown}/{name}")
                 below = content.folders.get(name, FolderContent())
-                stage(inner, new, name, f"{shown}/{name}", below, carried, f"{inside}{name}/")
+                stage(inner, new, name, f"{shown}/{name}", below, carried, seen, f"{inside}{name}/")
         elif name not in content.files and name not in content.removed:
             _link(old, new, f"{shown}/{name}", name)
             carried[f"{inside}{name}"] = entry.inode()
