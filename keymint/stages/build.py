@@ -25,7 +25,7 @@ from keymint.stages.documents import (
 )
 from keymint.stages.work import InstallRequest, NewPackage, PackagePlan, PackageStage, state_after, steps_of
 from keymint.store.changes import Action, DocumentSize, File, FolderChange, Plan, Step, by_folder, same_file
-from keymint.view.stamps import Stamp, digest
+from keymint.view.stamps import Stamp, digest, stamp_of
 from keymint.workspace import package_build_types
 from keymint.workspace.policy_loading import lazy_policy
 from keymint.workspace.session import Session
@@ -278,7 +278,7 @@ def _plan_shared(session: Session, options: BuildOptions, *, force: bool) -> lis
     writers: dict[str, str] = {}
     for plan in planned:
         own = package_build_types.shared_type(plan.name)
-        stamp = plan.stamp if isinstance(plan.stamp, Stamp) else session.state.stamps[STAGE][plan.name]
+        stamp = stamp_of(plan.stamp) if plan.stamp else session.state.stamps[STAGE][plan.name]
         for path in stamp.outputs:
             if (other := writers.setdefault(path, own)) != own:
                 raise KeymintError(

@@ -37,7 +37,7 @@ from keymint.stages.documents import (
 from keymint.stages.environment_scripts import plan_scripts
 from keymint.stages.work import NewPackage, PackagePlan, PackageStage, state_after, steps_of
 from keymint.store.changes import Action, File, FolderChange, Plan, Step, by_folder
-from keymint.view.stamps import Stamp, digest, digest_files, digest_of_texts
+from keymint.view.stamps import Stamp, digest, digest_files, digest_of_texts, stamp_of
 from keymint.workspace import installed_enclaves
 from keymint.workspace.installed_enclaves import (
     CERTIFICATE,
@@ -131,9 +131,7 @@ class InstallStage(PackageStage):
         return PackagePlan(
             name,
             Step(STAGE, name, Action.CREATED, (change,)),
-            _stamp(
-                inputs, new.files, lifetimes=new.built.stamp.lifetimes if isinstance(new.built.stamp, Stamp) else ""
-            ),
+            _stamp(inputs, new.files, lifetimes=stamp_of(new.built.stamp).lifetimes if new.built.stamp else ""),
             fingerprint=new.built.fingerprint,
             lifetimes=new.built.lifetimes,
             build_types=like.build_types,

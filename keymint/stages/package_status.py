@@ -19,7 +19,7 @@ from keymint.stages import build, create, install
 from keymint.stages.documents import built_documents, installed_shared, is_built
 from keymint.stages.work import InstallRequest
 from keymint.store.changes import Plan
-from keymint.view.stamps import Stamp, State
+from keymint.view.stamps import Stamp, State, stamp_of
 from keymint.workspace.installed_enclaves import enclave_names, hidden, installed_certificate, orphans
 from keymint.workspace.package_build_types import BUILD, is_build_current, record_key, users
 from keymint.workspace.session import Session
@@ -244,7 +244,7 @@ def _require_same(session: Session, name: str) -> Mapping[str, Stamp]:
             code="sources-changed",
         )
     stamp, step = planned.stamp, planned.step
-    return {name: stamp} if isinstance(stamp, Stamp) and step and not step.writes() else {}
+    return {name: stamp_of(stamp)} if stamp and step and not step.writes() else {}
 
 
 def refuse_new_authorities(session: Session, plan: Plan) -> None:

@@ -179,6 +179,20 @@ def _row(stamp: Stamp) -> StampRow:
     return form, line.encode()
 
 
+def stamp_of(recorded: Stamp | StampRow) -> Stamp:
+    """Return a stamp that may be as it is written."""
+    if isinstance(recorded, Stamp):
+        return recorded
+    form, line = recorded
+    own = itertools.chain(line.decode("latin-1").split("\t"), itertools.repeat(""))
+    inputs, context, lifetimes, *values = [
+        pieces[0] + "".join([f"'{next(own)}'{piece}" for piece in pieces[1:]]) if pieces else next(own)
+        for pieces in form.texts
+    ]
+    outputs = dict(zip(form.files, values, strict=True))
+    return Stamp(inputs, outputs, form.secret, context, lifetimes, form.build_types)
+
+
 class Stamps(Mapping[str, Stamp]):
     """Stamps by name, kept as they are written: what did not change is neither read nor made again.
 
@@ -201,14 +215,7 @@ class Stamps(Mapping[str, Stamp]):
         )
 
     def __getitem__(self, name: str) -> Stamp:
-        form, line = self.rows[name]
-        own = itertools.chain(line.decode("latin-1").split("\t"), itertools.repeat(""))
-        inputs, context, lifetimes, *values = [
-            pieces[0] + "".join([f"'{next(own)}'{piece}" for piece in pieces[1:]]) if pieces else next(own)
-            for pieces in form.texts
-        ]
-        outputs = dict(zip(form.files, values, strict=True))
-        return Stamp(inputs, outputs, form.secret, context, lifetimes, form.build_types)
+        return stamp_of(self.rows[name])
 
     def __contains__(self, name: object) -> bool:
         return name in self.rows
