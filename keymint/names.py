@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from itertools import accumulate
 
-from comarmor.errors import Origin
 from comarmor.rules import KIND_OF, PERMISSIONS, is_fully_qualified, is_segment
 from comarmor.text import did_you_mean, natural_order, quote
-from keymint.errors import KeymintError, usage_error
+from keymint.errors import KeymintError, Origin, usage_error
 
 MAX_SEGMENT = 200
 """Bytes of a segment: file systems allow 255, and the names of temporary files need some of them."""

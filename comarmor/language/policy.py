@@ -11,7 +11,6 @@ from __future__ import annotations
 import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import field
 from itertools import chain
 from pathlib import Path
 
@@ -23,7 +22,7 @@ from comarmor.patterns.glob import parse
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.rules import PARTS, PERMISSIONS, Effect, Rule, suffixes
 from comarmor.text import did_you_mean, quote
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field
 from comarmor.xml.package_folders import ShippedFile
 
 

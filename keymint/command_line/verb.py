@@ -13,7 +13,7 @@ import functools
 import inspect
 import os
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import fields, replace
+from dataclasses import fields
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
@@ -23,7 +23,7 @@ import click
 from click.core import ParameterSource
 
 from comarmor.text import lazy_regex
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from keymint import SPACES
 from keymint.api.plugin_loader import Plugins
 from keymint.command_line.verb_group import VerbCommand, help_all

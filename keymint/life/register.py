@@ -11,11 +11,11 @@ import contextlib
 import functools
 import zlib
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import Field, field, fields, replace
+from dataclasses import Field, fields
 from datetime import UTC, datetime
 from typing import Any
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field, replace
 from keymint.errors import KeymintError, Origin
 
 SUPERSEDED = "superseded"

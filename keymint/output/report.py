@@ -5,12 +5,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict, field, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeVar
 
 from comarmor.text import lazy_regex
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field, replace
 from keymint.errors import Diagnostic, ExitCode, Severity
 from keymint.store.changes import Step
 from keymint.workspace.workspace import Workspace

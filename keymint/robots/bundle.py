@@ -20,14 +20,14 @@ import json
 import re
 import tarfile
 from collections.abc import Iterable, Mapping
-from dataclasses import field, fields, replace
+from dataclasses import fields
 from datetime import UTC, datetime
 from typing import Any
 
 from cryptography import x509
 
 from comarmor.text import lazy_regex
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field, replace
 from keymint.errors import KeymintError, Origin
 from keymint.names import name_of, package_name, subject_of
 from keymint.pki import certificates, cms, extensions

@@ -8,18 +8,16 @@ import fcntl
 import itertools
 import shlex
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from comarmor.errors import Diagnostic, Origin, Severity, citation
 from comarmor.text import lazy_regex
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field, replace
 from keymint import SPACES
 from keymint.api import Environment, lazy
 from keymint.api.plugin_loader import Plugins
-from keymint.errors import ExitCode, KeymintError, UnconfirmedError
+from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin, Severity, UnconfirmedError, citation
 from keymint.host.streams_and_signals import StoppedError, received_signal
 from keymint.output.console import Console, Streams
 from keymint.output.report import Report, merged_diagnostics

@@ -10,10 +10,9 @@ import os
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
-from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.text import did_you_mean, first_few, quantity, quote
 from keymint import api
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin, Severity
 from keymint.ir import SubjectRules
 from keymint.names import ROOT, refuse_case_collisions, refuse_reserved, subject_of
 from keymint.stages.work import NewPackage, PackagePlan, PackageStage, state_after, steps_of

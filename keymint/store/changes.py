@@ -5,12 +5,11 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Mapping
-from dataclasses import field, replace
 from enum import StrEnum
 from pathlib import Path
 
 from comarmor.errors import Diagnostic
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field, replace
 from keymint.view.stamps import State
 from keymint.view.tree import Content, File, Tree
 

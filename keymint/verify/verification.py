@@ -7,11 +7,11 @@ Models of transports are asked in parts on a pool if that is worth it: each part
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import astuple, replace
+from dataclasses import astuple
 from functools import cache, partial
 from itertools import chain
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, replace
 from keymint.api import InstalledEnclave, LoadedPolicy, PolicyDecision, Tier, Transport
 from keymint.api.graph import ConfusionMatrix, Edge, Graph, Object
 from keymint.api.plugin_loader import Plugins

@@ -7,13 +7,13 @@ It is read from a package's document and its defaults.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import MISSING, field, fields, replace
+from dataclasses import MISSING, fields
 from datetime import UTC, datetime
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 from comarmor.text import quote
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field, replace
 from comarmor.xml.reader import line
 from keymint import api
 from keymint.api.source_documents import DEFAULT_DOMAINS, Reader, domains, incomplete, signer, text

@@ -14,11 +14,10 @@ from functools import lru_cache
 from itertools import chain
 from typing import TYPE_CHECKING
 
-from comarmor.errors import Defects, Diagnostic, Severity
 from keymint import __version__, api
 from keymint.authority.authority_files import chains_digest, trusted_chains
 from keymint.authority.examine import contradictions_for
-from keymint.errors import KeymintError
+from keymint.errors import Defects, Diagnostic, KeymintError, Severity
 from keymint.ir import SubjectRules
 from keymint.life import terms
 from keymint.life.workspace_register import withdrawn

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import field, fields
+from dataclasses import fields
 from enum import StrEnum
 from typing import Any
 
-from comarmor.values import dataclass
+from comarmor.values import dataclass, field
 from keymint.errors import Origin
 
 
