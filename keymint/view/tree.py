@@ -355,13 +355,11 @@ class Tree:
         return is_left_out
 
     def _is_absent(self, path: str) -> bool:
-        """Tell whether a path is known not to exist, because its folder was read completely."""
-        if not path.startswith(self._held):
-            return False
+        """Tell whether a path is known not to exist, because the folder around it, or one further out, was listed."""
         parent, _, name = path.rpartition("/")
         around = self._entries.get(parent)
         if around is None:
-            return ".git" not in path.split("/")
+            return path.startswith(self._held) and ".git" not in path.split("/")
         return not isinstance(around, KeymintError) and name not in around
 
     def _scan(self, folder: str) -> dict[str, bool]:
