@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import weakref
 import zlib
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import Field, fields
 from datetime import UTC, datetime
 from typing import Any
@@ -317,7 +318,7 @@ def _entries(database: Any, table: str, version: int) -> tuple[Any, ...]:
     """Return the entries of a table.
 
     Raises:
-        TypeError: a value is not one that :func:`register_file` writes.
+        TypeError: a value is not one that :func:`register_content` makes.
         ValueError: the same.
     """
     own = [each for each in fields(_TABLES[table]) if _SINCE.get(each.name, 0) <= version]
@@ -344,12 +345,13 @@ def _moment(stored: str) -> datetime:
     return moment.astimezone(UTC)
 
 
-def register_file(register: Register) -> bytes:
-    """Return the file of a register."""
+def register_content(register: Register) -> Callable[[], tuple[bytes]]:
+    """Return what makes the file of a register, each time that it is called; its content may be large."""
     import sqlite3  # noqa: PLC0415, TID251 - in memory only, and of no use to runs that issue nothing
 
     # In one piece of memory, which need not be put together before it is copied.
-    with contextlib.closing(sqlite3.connect("file:register?vfs=memdb", uri=True)) as database:
+    database = sqlite3.connect("file:register?vfs=memdb", uri=True)
+    with database:
         database.execute(f"PRAGMA application_id = {_APPLICATION}")
         database.execute(f"PRAGMA user_version = {_VERSION}")
         for table, kind in _TABLES.items():
@@ -368,8 +370,12 @@ def register_file(register: Register) -> bytes:
         for table, numbers in zip(_NUMBERED, (register.numbers, register.bundles), strict=True):
             database.executemany(f"INSERT INTO {table} VALUES (?, ?)", sorted(numbers.items()))  # noqa: S608 - constants
         database.execute("INSERT INTO history VALUES (?)", (int(register.is_whole),))
-        database.commit()
-        return database.serialize()
+
+    def made() -> tuple[bytes]:
+        return (database.serialize(),)
+
+    weakref.finalize(made, database.close)
+    return made
 
 
 def _stored(field: Field[Any], values: Sequence[Any]) -> Sequence[Any]:
@@ -378,7 +384,10 @@ def _stored(field: Field[Any], values: Sequence[Any]) -> Sequence[Any]:
         return [f"{each:x}" for each in values]
     if "datetime" not in str(field.type):
         return values
-    return [each and each.isoformat() for each in values]
+    return [each and _isoformat(each) for each in values]
+
+
+_isoformat = functools.lru_cache(maxsize=256)(datetime.isoformat)  # many were issued at once
 
 
 def _numbered(row: tuple[object, ...]) -> tuple[str, int]:

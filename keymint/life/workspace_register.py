@@ -15,7 +15,7 @@ from comarmor.text import quantity
 from keymint.api import BuildType, Package
 from keymint.authority import authority_files
 from keymint.errors import KeymintError, Origin
-from keymint.life.register import UNKNOWN, IssuedCertificate, Register, SignedRights, loaded_register, register_file
+from keymint.life.register import UNKNOWN, IssuedCertificate, Register, SignedRights, loaded_register, register_content
 from keymint.names import subject_of
 from keymint.pki import certificates, keys, revocation_lists, smime
 from keymint.pki.distinguished_names import to_text
@@ -126,7 +126,7 @@ def _rights_found(session: Session) -> Iterator[SignedRights]:
 def register_change(session: Session, register: Register) -> tuple[FolderChange, ...]:
     """Return what writes a register, if it differs from the one on the disk."""
     is_same = register == register_of(session)
-    return () if is_same else (secret_file(session.workspace.register, register_file(register)),)
+    return () if is_same else (secret_file(session.workspace.register, b"", register_content(register)),)
 
 
 @lru_cache(maxsize=64)

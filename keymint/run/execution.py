@@ -172,13 +172,11 @@ class Workers(Crew):
         of_stages = itertools.zip_longest(*by_process, fillvalue=())
         return [each for of_stage in of_stages for staged in of_stage for each in staged]
 
-    def seen(self) -> Mapping[str, FolderStatus]:
-        """Return the status of the new folders that the processes staged; it takes memory, so it is asked late."""
-        if not self._have_staged:
-            return {}
+    def seen(self) -> Iterator[tuple[str, FolderStatus]]:
+        """Yield the status of the new folders that the processes staged; it takes memory, so it is asked late."""
         with contextlib.suppress(KeymintError):  # a process ended: then the folders are looked at again
-            return dict(item for source in self._sources[1:] for part in _answers(source) for item in part)
-        return {}
+            for source in self._sources[1:] if self._have_staged else ():
+                yield from itertools.chain.from_iterable(_answers(source))
 
     def give_up(self) -> None:
         """End all processes, and start no others: the caller's process plans everything."""
@@ -326,11 +324,14 @@ def _work(pipe: Connection, inherited: Sequence[Connection], task: _Task) -> Non
     with contextlib.suppress(EOFError, OSError):
         try:
             with _refusing(send):
-                changes = _planned_in_parts(send, task)
+                changes = _planned_in_parts(answers.put, task)
                 pipe.recv()
                 store = open_store(task[0].workspace)
                 send(_DONE, [[each for part in of_stage for each in store.stage(part)] for of_stage in changes])
-                send(_DONE, [*store.seen.items()])
+                seen = [*store.seen.items()]
+                for at in range(0, len(seen), MOST_PACKAGES):
+                    send(_PART, seen[at : at + MOST_PACKAGES])
+                send(_DONE, ())
         except Exception as error:  # noqa: BLE001 - the parent reports it
             import traceback  # noqa: PLC0415 - few runs need it
 
@@ -339,8 +340,10 @@ def _work(pipe: Connection, inherited: Sequence[Connection], task: _Task) -> Non
     sender.join()
 
 
-def _planned_in_parts(send: _Send, task: _Task) -> _Changes:
+def _planned_in_parts(send: Callable[[memoryview], object], task: _Task) -> _Changes:
     """Plan packages part by part, send the plans of all of them stage by stage, and return the changes of each stage.
+
+    Plans that must wait for those of other parts are kept as they are sent, which takes less memory.
 
     Raises:
         KeymintError: a stage cannot plan; the plans of all stages before it are sent.
@@ -348,7 +351,7 @@ def _planned_in_parts(send: _Send, task: _Task) -> _Changes:
     session, names, stages, new = task
     number_of_parts = max(1, round(len(names) / MOST_PACKAGES))
     parts = _parts(names, [1 / number_of_parts] * number_of_parts)
-    answers: list[list[tuple[str, list[Any]]]] = [[] for _ in stages]
+    answers: list[list[memoryview]] = [[] for _ in stages]
     changes: list[list[Iterable[FolderChange]]] = [[] for _ in stages]
     refused: KeymintError | None = None
     for part in parts:
@@ -363,10 +366,10 @@ def _planned_in_parts(send: _Send, task: _Task) -> _Changes:
                 refused = None
             else:
                 plans = [_row(each) if isinstance(each, PackagePlan) else each for each in found]
-                of_stage.append((_DONE if is_last else _PART, plans))
+                of_stage.append(_pickled(_DONE if is_last else _PART, plans))
                 changes[number].append(PackedChanges(changed) if len(parts) > 1 else changed)
                 while is_last and of_stage:
-                    send(*of_stage.pop(0))
+                    send(of_stage.pop(0))
                 continue
             del answers[number:]
             break
@@ -467,8 +470,9 @@ def execute(
         changing = {step.package for step in plan.steps if step.package and step.writes()}
         store.begin(replace(intent, packages=tuple(sorted(changing))))
         store.change(guards)  # before the first secret is written
-        # The record of a large fleet is made when all else is staged.
-        staged = _staged(plan, lambda: (*log, FolderChange(folder, {RECORD: File(plan.state.dump())})), store, workers)
+        # The record of a large fleet is made as it is written.
+        record = FolderChange(folder, {RECORD: File(b"", made=plan.state.pieces)})
+        staged = _staged(plan, (*log, record), store, workers)
         visible = clock(folder)
         store.commit(staged)
     else:
@@ -501,21 +505,19 @@ def require_register(plan: Plan, inputs: Inputs) -> None:
         )
 
 
-def _staged(
-    plan: Plan, record: Callable[[], Iterable[FolderChange]], store: Store, workers: Workers
-) -> Sequence[Exchange]:
+def _staged(plan: Plan, record: Iterable[FolderChange], store: Store, workers: Workers) -> Sequence[Exchange]:
     """Stage a plan and its record. What other processes hold comes before what is removed."""
     held = [str(change.folder) for change in plan.changes() if change.held]
     if not held:
-        return store.stage((*plan.changes(), *record()))
+        return store.stage((*plan.changes(), *record))
     store.make_common(held)
+    _trim()  # the register and the record of a large fleet take memory
     removals = Plan(tuple(step for step in plan.steps if step.action is Action.REMOVED), plan.state)
     others = replace(plan, steps=tuple(step for step in plan.steps if step.action is not Action.REMOVED))
     staged: list[Exchange] = []
     try:
         staged += workers.stage(store, others.changes())
-        _trim()  # the record of a large fleet takes memory, too
-        staged += store.stage((*removals.changes(), *record()))
+        staged += store.stage((*removals.changes(), *record))
     except BaseException:
         store.discard(staged)
         raise

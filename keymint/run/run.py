@@ -32,6 +32,7 @@ from keymint.view.stamps import MAX_RECORD, State
 from keymint.view.stamps import load as load_state
 from keymint.view.tree import HeldError, Tree, read_file
 from keymint.workspace.installed_enclaves import KEY
+from keymint.workspace.policy_loading import POLICY
 from keymint.workspace.session import Inputs, Session
 from keymint.workspace.workspace import Workspace, find, missing_gitignores, shown_path
 
@@ -369,7 +370,7 @@ class Run:
             writes_there = any(f"{change.folder}/".startswith(below) for change in planned[1].changes())
             if writes_there and store.lock_missing(self.console.waiting):
                 planned = self._planned_again(workspace, make_plan)
-            inputs, plan, sight = planned
+            (inputs, plan, sight), planned = planned, None
             require_register(plan, inputs)
             guards = missing_gitignores(workspace, plan)
             intent = self.intent()
@@ -377,6 +378,7 @@ class Run:
             log = log_change(inputs, plan, self.verb, f"{intent.command}{' --yes' * self.yes}", who, self.setting.now)
             with self.console.progress(len(plan.steps), self.setting.monotonic) as advance:
                 visible = execute(plan, inputs, store, self.crew, advance, intent, guards, log)
+            plan = plan.carried_out(POLICY)
             changes = itertools.chain(guards, plan.changes(), log)
             names = ((str(each.folder), each.written, each.removed) for each in changes)
             written = clock_now(workspace.state)
@@ -385,7 +387,8 @@ class Run:
             )
 
             def look() -> Sight | None:
-                return sight.after(names, visible, clock(workspace.state, written), {**store.seen, **self.crew.seen()})
+                store.seen.update(self.crew.seen())
+                return sight.after(names, visible, clock(workspace.state, written), store.seen)
 
             remember(self.setting.call, inputs, plan, self.presented(report), look, store, self.console)
             store.end()

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from enum import StrEnum
 from pathlib import Path
 
@@ -83,10 +83,10 @@ def same_file(known: dict[str, File], name: str, content: bytes, *, secret: bool
     return file
 
 
-def secret_file(path: Path | str, content: bytes) -> FolderChange:
-    """Return the change that writes one secret file."""
+def secret_file(path: Path | str, content: bytes, made: Callable[[], Iterable[bytes]] | None = None) -> FolderChange:
+    """Return the change that writes one secret file; the arguments are as of :class:`File`."""
     folder, _, name = str(path).rpartition("/")
-    return FolderChange(folder, {name: File(content, secret=True)}, private=True)
+    return FolderChange(folder, {name: File(content, secret=True, made=made)}, private=True)
 
 
 def by_folder(root: Path, files: Mapping[str, File]) -> dict[Path, dict[str, File]]:
@@ -177,6 +177,16 @@ class Plan:
             for change in self.changes()
             if f"{change.folder}/".startswith(below)
         ]
+
+    def carried_out(self, *stages: str) -> Plan:
+        """Return the plan without what is written and takes memory: the content of what comes first, and the record.
+
+        Args:
+            stages: of these the record stays.
+        """
+        first = (FolderChange(each.folder, held=dict.fromkeys(each.files, "")) for each in self.first)
+        state = State({name: self.state.stamps.get(name, {}) for name in stages})
+        return replace(self, state=state, first=tuple(first))
 
     def writes(self) -> bool:
         """Tell whether anything is written."""

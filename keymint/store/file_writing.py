@@ -91,7 +91,8 @@ def create(
 
 def fill(opened: int, file: File, owner: tuple[int, int] | None) -> os.stat_result:
     """Write a new file that is open, give it its owner and its mode, and return its status; see :func:`create`."""
-    write_all(opened, file.content)
+    for piece in file.pieces():
+        write_all(opened, piece)
     give(opened, owner)
     return with_mode(opened, file_mode(secret=file.secret) if file.mode is None else file.mode)
 
@@ -106,7 +107,7 @@ def with_mode(opened: int, mode: int) -> os.stat_result:
 
 
 def write_all(opened: int, content: bytes) -> None:
-    """Write to an open file; the system may take several writes for it."""
+    """Write more to an open file; the system may take several writes for it."""
     written = os.write(opened, content)
     while written < len(content):
         written += os.write(opened, memoryview(content)[written:])

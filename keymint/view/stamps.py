@@ -267,7 +267,11 @@ class State:
         return State({**self.stamps, stage: Stamps({**rows, **Stamps.of(stamps).rows})})
 
     def dump(self) -> bytes:
-        """Return the record as bytes; equal states give equal bytes.
+        """Return the record as bytes; equal states give equal bytes."""
+        return b"".join(self.pieces())
+
+    def pieces(self) -> Iterator[bytes]:
+        """Yield the record in pieces, since that of a large fleet takes memory.
 
         Its first line has the forms, with the names of their stamps, and everything that may be a date. A line for
         each stamp follows.
@@ -275,19 +279,22 @@ class State:
         stages: dict[str, list[tuple[Any, ...]]] = {}
         lines: list[bytes] = []
         for stage, of_stage in sorted(self.stamps.items()):
-            by_form: dict[_Form, dict[str, bytes]] = {}
-            last, named = None, dict[str, bytes]()
+            by_form: dict[_Form, tuple[list[str], list[bytes]]] = {}
+            last, own = None, (list[str](), list[bytes]())
             for name, (form, line) in sorted(Stamps.of(of_stage).rows.items()):
                 if form is not last:  # a hash of each form would take long
-                    last, named = form, by_form.setdefault(form, {})
-                named[name] = line
-            stages[stage] = [(*form, [*named]) for form, named in by_form.items()]
-            lines += itertools.chain(*map(dict.values, by_form.values()))
+                    last, own = form, by_form.setdefault(form, ([], []))
+                own[0].append(name)
+                own[1].append(line)
+            stages[stage] = [(*form, names) for form, (names, _) in by_form.items()]
+            lines += itertools.chain(*(own for _, own in by_form.values()))
         hashed = hashlib.sha256()
-        for at in range(0, len(lines), _AT_ONCE):  # the lines of a large fleet take memory
+        starts = range(0, len(lines), _AT_ONCE)
+        for at in starts:
             hashed.update(b"\n".join((*lines[at : at + _AT_ONCE], b"")))
-        first = sealed_document({"version": VERSION, "lines": hashed.hexdigest(), "stages": stages})
-        return b"\n".join((first[:-1], *lines, b""))
+        yield sealed_document({"version": VERSION, "lines": hashed.hexdigest(), "stages": stages})
+        stages.clear()
+        yield from (b"\n".join((*lines[at : at + _AT_ONCE], b"")) for at in starts)
 
 
 _json = json.JSONEncoder(separators=(",", ":"), sort_keys=True).encode

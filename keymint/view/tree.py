@@ -48,6 +48,7 @@ class File:
         mode: another mode, e.g. that of the file that it replaces.
         link: the text of a symbolic link, which is written in place of the content; empty for a regular file.
         replaces_link: a symbolic link in its place is replaced; else that is refused.
+        made: makes the content, in pieces, whenever it is needed, in place of one that would take memory until then.
     """
 
     content: bytes = field(repr=False)
@@ -55,13 +56,18 @@ class File:
     mode: int | None = None
     link: str = ""
     replaces_link: bool = False
+    made: Callable[[], Iterable[bytes]] | None = None
     _digest: str = field(default="", init=False, repr=False, compare=False)
+
+    def pieces(self) -> Iterable[bytes]:
+        """Return the bytes that are written."""
+        return self.made() if self.made else (self.content,)
 
     @property
     def digest(self) -> str:
         """The digest of the content; see :func:`keymint.view.stamps.digest`."""
         if not self._digest:
-            object.__setattr__(self, "_digest", sys.intern(digest(self.content)))
+            object.__setattr__(self, "_digest", sys.intern(digest(b"".join(self.pieces()))))
         return self._digest
 
 
@@ -160,7 +166,7 @@ class Tree:
         if isinstance(content, str):
             raise HeldError(path)
         if isinstance(content, File):
-            return content.content
+            return b"".join(content.pieces())
         return content if planned else self._read(path)
 
     def digest(self, path: Path | str) -> str | None:

@@ -21,7 +21,7 @@ from keymint.workspace import shipped_profiles
 from keymint.workspace.session import Session
 from keymint.workspace.shipped_profiles import installed_packages, refuse_unaccepted
 
-_STAGE, _FILES, _SUBJECTS, _PROFILES = "policy", "seen", "subjects", "profiles"
+POLICY, _FILES, _SUBJECTS, _PROFILES = "policy", "seen", "subjects", "profiles"
 """Keys of the record of the policy: the paths that it was read from, the subjects that it names, and its profiles."""
 _MOST_PROFILES = 1_000
 """About how many profiles the record names: enough to know a policy again."""
@@ -118,7 +118,7 @@ def lazy_policy(session: Session) -> LoadedPolicy:
 
 def is_recorded(session: Session) -> bool:
     """Tell whether the record has the policy."""
-    return session.state.stamp(_STAGE, _FILES) is not None
+    return session.state.stamp(POLICY, _FILES) is not None
 
 
 def is_unchanged(session: Session) -> bool:
@@ -126,7 +126,7 @@ def is_unchanged(session: Session) -> bool:
     recorded, fingerprint = recorded_files(session), session.policy_type.fingerprint
     return (
         recorded is not None
-        and session.state.stamp(_STAGE, _SUBJECTS) is not None
+        and session.state.stamp(POLICY, _SUBJECTS) is not None
         and all(fingerprint(Path(path)).hex() == value for path, value in recorded.items())
     )
 
@@ -136,7 +136,7 @@ def recorded_files(session: Session) -> Mapping[str, str] | None:
 
     The result is None if the record has none, or has those of another place: the workspace is a copy.
     """
-    recorded = session.state.stamp(_STAGE, _FILES)
+    recorded = session.state.stamp(POLICY, _FILES)
     return recorded.outputs if recorded is not None and recorded.inputs == locations_digest(session) else None
 
 
@@ -151,13 +151,13 @@ def recorded_profiles(session: Session) -> frozenset[str]:
 
 
 def _recorded(session: Session, key: str) -> frozenset[str]:
-    recorded = session.state.stamp(_STAGE, key)
+    recorded = session.state.stamp(POLICY, key)
     return frozenset(recorded.outputs if recorded is not None else ())
 
 
 def recorded_epoch(state: State) -> str:
     """Return the digest of the policy and the profile that all packages on record follow; empty if it is not known."""
-    recorded = state.stamp(_STAGE, _FILES)
+    recorded = state.stamp(POLICY, _FILES)
     return recorded.context if recorded is not None else ""
 
 
@@ -181,7 +181,7 @@ def record_policy(
     if profiles:
         some = profiles[:: len(profiles) // _MOST_PROFILES + 1]
         stamps[_PROFILES] = Stamp(locations, dict.fromkeys(some, ""))
-    return session.state.updated(_STAGE, stamps)
+    return session.state.updated(POLICY, stamps)
 
 
 def package_of(policy: LoadedPolicy, subject: str) -> str:

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from comarmor.errors import Origin
 from keymint.errors import KeymintError
-from keymint.life.register import REASONS, IssuedCertificate, Register, loaded_register, register_file
+from keymint.life.register import REASONS, IssuedCertificate, Register, loaded_register, register_content
 
 WHERE = Origin("private/register.sqlite3")
 moments = st.datetimes(datetime(1950, 1, 1), datetime(9999, 12, 31), timezones=st.just(UTC))  # noqa: DTZ001 - bounds
@@ -30,6 +30,10 @@ def entries(draw: st.DrawFn) -> IssuedCertificate:
         draw(texts), draw(st.integers(1, 2**159)), draw(texts), draw(texts), draw(st.integers(0, 10**9)),
         draw(moments), draw(moments), draw(texts), draw(texts), revoked, reason, draw(st.none() | moments),
     )  # fmt: skip
+
+
+def register_file(register: Register) -> bytes:
+    return b"".join(register_content(register)())
 
 
 numbers = st.dictionaries(texts, st.integers(1, 2**40), max_size=3)
