@@ -16,21 +16,19 @@ from __future__ import annotations
 
 import contextlib
 import gc
-import io
 import itertools
 import os
-import pickle
 import sys
 import threading
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import fields, replace
 from datetime import datetime
 from functools import partial
 from operator import attrgetter
-from queue import SimpleQueue
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
+from keymint.api import lazy
 from keymint.authority.authorities import STAGE as AUTHORITIES
 from keymint.errors import KeymintError, process_ended
 from keymint.host.streams_and_signals import held_signals
@@ -54,6 +52,10 @@ from keymint.workspace.workspace import Workspace
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
+    from queue import SimpleQueue
+
+# A run in one process needs none of these.
+_pickled, _loads, _queue = lazy("keymint.run.pickling:pickled"), lazy("pickle:loads"), lazy("queue:SimpleQueue")
 
 MIN_PACKAGES = 64
 """Packages from which on processes are worth their start."""
@@ -221,26 +223,6 @@ def _parts(names: Sequence[str], shares: Sequence[float]) -> list[list[str]]:
     return parts
 
 
-class _Pickler(pickle.Pickler):
-    """Pickles frozen data by the arguments of its constructor, which is faster than field by field."""
-
-    _values: ClassVar[dict[type, Callable[[object], Any] | None]] = {}
-
-    def reducer_override(self, given: object) -> Any:
-        kind = type(given)
-        if kind not in self._values:
-            names = [each.name for each in fields(kind) if each.init] if is_dataclass(kind) else []
-            self._values[kind] = attrgetter(*names) if len(names) > 1 else None  # of one it returns no tuple
-        values = self._values[kind]
-        return (kind, values(given)) if values else NotImplemented
-
-
-def _pickled(*answer: object) -> memoryview:
-    content = io.BytesIO()
-    _Pickler(content, pickle.HIGHEST_PROTOCOL).dump(answer)
-    return content.getbuffer()
-
-
 class PackedChanges:
     """Changes that take little memory until they are staged.
 
@@ -264,7 +246,7 @@ class PackedChanges:
     def __iter__(self) -> Iterator[FolderChange]:
         if digest(self._packed) != self._digest:
             raise ValueError("what was planned is damaged in memory")
-        (public,) = pickle.loads(zlib.decompress(self._packed))  # noqa: S301 - pickled above
+        (public,) = _loads(zlib.decompress(self._packed))
         for each, secret in zip(public, self._secrets, strict=True):
             yield replace(each, files={**each.files, **secret}) if secret else each
 
@@ -279,7 +261,7 @@ def _refusing(send: _Send) -> Iterator[None]:
 
 
 def _received(pipe: Connection) -> Any:
-    return pickle.loads(pipe.recv_bytes())  # noqa: S301 - from a process that this one forked
+    return _loads(pipe.recv_bytes())
 
 
 def _answers(receive: Callable[[], Any]) -> Iterator[list[Any]]:
@@ -308,7 +290,7 @@ def _work(pipe: Connection, inherited: Sequence[Connection], task: _Task) -> Non
     gc.freeze()  # a search for cycles among the parent's objects would copy their pages
     for each in inherited:  # otherwise this process would not see that the parent ended
         each.close()
-    answers: SimpleQueue[memoryview | None] = SimpleQueue()
+    answers: SimpleQueue[memoryview | None] = _queue()
 
     def deliver() -> None:
         with contextlib.suppress(OSError):  # the parent ended

@@ -206,7 +206,7 @@ def mount_of(opened: int) -> str:
     Raises:
         OSError: the system does not tell it, although ``/proc`` is there.
     """
-    with contextlib.suppress(FileNotFoundError), open(f"/proc/self/fdinfo/{opened}", encoding="ascii") as info:  # noqa: PTH123
+    with contextlib.suppress(FileNotFoundError), open(f"/proc/self/fdinfo/{opened}", encoding="utf-8") as info:  # noqa: PTH123
         for line in info:
             if line.startswith("mnt_id:"):
                 return line
