@@ -32,21 +32,29 @@ _FEW = 50
 """Objects of a class that are made before its ``__init__`` is generated."""
 _DECLARED = "__declared__"
 """Attribute of a class with its own fields: the type of each, and its default or :func:`dataclasses.field`."""
+_OF_CLASS = {"__dict__", "__weakref__"}
+"""Attributes that belong to the class without slots."""
 
 
 def _made(given: type, *, frozen: bool = False, slots: bool = False, eq: bool = True, order: bool = False) -> Any:
+    own = vars(given)
     declared = {name: each for name, each in given.__annotations__.items() if "ClassVar" not in str(each)}
-    not_copied = {*declared, "__dict__", "__weakref__"}  # these two belong to the class without slots
-    own = {name: each for name, each in vars(given).items() if name not in not_copied}
-    chosen = ((_ANY, True), (_EQUAL, eq), ({"__hash__": None}, eq and not frozen), (_ORDERED, order), (_FROZEN, frozen))
-    new: dict[str, Any] = {name: each for some, is_chosen in chosen if is_chosen for name, each in some.items()}
-    # A class that defines __eq__ has a __hash__ of None.
-    new |= {name: each for name, each in own.items() if each is not None or name not in new}
-    new[_DECLARED] = {name: (each, vars(given).get(name, MISSING)) for name, each in declared.items()}
+    new = dict(_methods(frozen, eq, order))
+    for name, each in own.items():
+        # A class that defines __eq__ has a __hash__ of None.
+        if name not in declared and name not in _OF_CLASS and (each is not None or name not in new):
+            new[name] = each
+    new[_DECLARED] = {name: (each, own.get(name, MISSING)) for name, each in declared.items()}
     if slots:
-        inherited = {name for base in given.__mro__[1:] for name in vars(base).get("__slots__", ())}
+        inherited = {name for base in given.__mro__[1:-1] for name in vars(base).get("__slots__", ())}
         new["__slots__"] = tuple(name for name in declared if name not in inherited)
     return type(given)(given.__name__, given.__bases__, new | {"__qualname__": given.__qualname__})
+
+
+@cache
+def _methods(frozen: bool, eq: bool, order: bool) -> dict[str, Any]:
+    chosen = ((_ANY, True), (_EQUAL, eq), ({"__hash__": None}, eq and not frozen), (_ORDERED, order), (_FROZEN, frozen))
+    return {name: each for some, is_chosen in chosen if is_chosen for name, each in some.items()}
 
 
 class _AtFirstUse:
@@ -84,21 +92,21 @@ def _fields(cls: type) -> dict[str, Field[Any]]:
 
 def _known_fields(cls: type) -> dict[str, Field[Any]]:
     """Return the fields as the library knows them: by name, with their types, and with all that it notes about any."""
-    fields, types, library = _fields(cls), _declared(cls, 0), _library_field()
+    fields, types, noted = _fields(cls), _declared(cls, 0), _noted()
     for name, each in fields.items():
-        for slot in Field.__slots__:
-            if slot != "default" and getattr(each, slot) is None:
-                setattr(each, slot, getattr(library, slot))
+        for slot, value in noted:
+            setattr(each, slot, value)
         each.name, each.type, each.kw_only = name, types[name], False
     return fields
 
 
 @cache
-def _library_field() -> Field[Any]:
-    """Return a field of a class that the library made."""
+def _noted() -> list[tuple[str, Any]]:
+    """Return what the library notes about the field of a class that nothing says, by slot."""
     # Without a text about the class the library makes one, which takes long.
     made = type("Made", (), {"__doc__": "made", "__annotations__": {"field": "int"}})
-    return dataclasses.fields(dataclasses.dataclass(init=False, repr=False, eq=False)(made))[0]
+    noted, bare = dataclasses.fields(dataclasses.dataclass(init=False, repr=False, eq=False)(made))[0], field()
+    return [(slot, getattr(noted, slot)) for slot in Field.__slots__ if getattr(bare, slot) is None]
 
 
 def _given(cls: type) -> tuple[list[str], dict[str, Any], dict[str, Callable[[], Any]]]:
