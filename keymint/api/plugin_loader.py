@@ -113,13 +113,15 @@ def entries_of(metadata: str) -> Iterator[PluginInfo]:
     Args:
         metadata: its folder of metadata; if that is damaged, it must not hide a plugin.
     """
-    if not os.path.lexists(file := f"{metadata}/entry_points.txt"):  # as most have none, the cheapest question
+    file = f"{metadata}/entry_points.txt"
+    if not os.path.lexists(file):  # as most have none, the cheapest question
         return
     try:
-        text = Path(file).read_text(encoding="utf-8")
+        content = Path(file).read_bytes()
+        if b"[keymint." not in content:
+            return
+        text = content.decode()
     except (OSError, ValueError):
-        return
-    if "[keymint." not in text:
         return
     group, headers = "", _headers(metadata)
     for line in map(str.strip, text.splitlines()):
