@@ -55,7 +55,11 @@ if TYPE_CHECKING:
     from queue import SimpleQueue
 
 # A run in one process needs none of these.
-_pickled, _loads, _queue = lazy("keymint.run.pickling:pickled"), lazy("pickle:loads"), lazy("queue:SimpleQueue")
+_answer_bytes, _loads, _queue = (
+    lazy("keymint.run.pickling:answer_bytes"),
+    lazy("pickle:loads"),
+    lazy("queue:SimpleQueue"),
+)
 
 MIN_PACKAGES = 64
 """Packages from which on processes are worth their start."""
@@ -240,7 +244,7 @@ class PackedChanges:
             self._secrets.append(secret)
             others = {name: file for name, file in each.files.items() if name not in secret}
             public.append(replace(each, files=others) if secret else each)
-        self._packed = zlib.compress(_pickled(public), 1)
+        self._packed = zlib.compress(_answer_bytes(public), 1)
         self._digest = digest(self._packed)
 
     def __iter__(self) -> Iterator[FolderChange]:
@@ -298,7 +302,7 @@ def _work(pipe: Connection, inherited: Sequence[Connection], task: _Task) -> Non
                 pipe.send_bytes(answer)
 
     def send(*answer: object) -> None:
-        answers.put(_pickled(*answer))
+        answers.put(_answer_bytes(*answer))
 
     # A pipe takes little before the parent reads, which plans a part itself: this process must not wait for that.
     sender = threading.Thread(target=deliver, daemon=True)

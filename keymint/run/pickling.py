@@ -25,7 +25,7 @@ class _Pickler(pickle.Pickler):
         return (kind, values(given)) if values else NotImplemented
 
 
-def pickled(*answer: object) -> memoryview:
+def answer_bytes(*answer: object) -> memoryview:
     """Return what a process answers, as bytes."""
     content = io.BytesIO()
     _Pickler(content, pickle.HIGHEST_PROTOCOL).dump(answer)
