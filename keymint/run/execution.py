@@ -352,7 +352,7 @@ def _planned_in_parts(send: Callable[[memoryview], object], task: _Task) -> _Cha
                 refused = None
             else:
                 plans = [_row(each) if isinstance(each, PackagePlan) else each for each in found]
-                of_stage.append(_pickled(_DONE if is_last else _PART, plans))
+                of_stage.append(_answer_bytes(_DONE if is_last else _PART, plans))
                 changes[number].append(PackedChanges(changed) if len(parts) > 1 else changed)
                 while is_last and of_stage:
                     send(of_stage.pop(0))
