@@ -21,7 +21,7 @@ import os
 import sys
 import threading
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import fields, replace
 from datetime import datetime
 from functools import partial
@@ -37,14 +37,14 @@ from keymint.life.revocation_lists_in_force import loaded_lists
 from keymint.output.console import Console
 from keymint.output.report import Report
 from keymint.stages.work import Crew, NewPackages, PackagePlan, PackageStage, planned_by, session_after
-from keymint.store.changes import Action, File, FolderChange, Plan, Step
+from keymint.store.changes import Action, File, FolderChange, HeldChanges, Plan, Step
 from keymint.store.file_writing import c_function
 from keymint.store.journal import Journal
 from keymint.store.staged import Exchange
 from keymint.store.store import Store, clock
 from keymint.view.recorded_answers import Answer, Call, FolderStatus, Sight, is_recordable, name_of, record
-from keymint.view.stamps import Stamp, compact, digest, one_of
-from keymint.view.tree import Tree
+from keymint.view.stamps import Stamp, digest, one_of
+from keymint.view.tree import Place, Tree
 from keymint.workspace.package_build_types import BUILD, may_share
 from keymint.workspace.policy_loading import recorded_files
 from keymint.workspace.session import Inputs, Session
@@ -80,7 +80,6 @@ _Task = tuple[Session, Sequence[str], _Stages, NewPackages | None]
 _Send = Callable[..., object]
 """Sends an answer, which begins with its kind."""
 _OTHERS = attrgetter(*(each.name for each in fields(PackagePlan) if each.name not in {"name", "step", "stamp"}))
-_NO_FILES: Mapping[str, File] = {}
 _Changes = Sequence[Sequence[Iterable[FolderChange]]]
 """The changes of each stage, in parts."""
 
@@ -382,14 +381,21 @@ def _plan(task: _Task) -> Iterator[tuple[list[Any], list[FolderChange]]]:
 
 def _row(plan: PackagePlan) -> tuple[Any, ...]:
     """Return a plan without the bytes of its files, as values that take little time to send; see :func:`_plan_of`."""
-    step, stamp, changes = plan.step, plan.stamp, list[tuple[Any, ...]]()
+    step, stamp, places, changes = plan.step, plan.stamp, list[Place](), list[tuple[Any, ...]]()
+    known = stamp.outputs if isinstance(stamp, Stamp) else {}
     for each in step.changes if step else ():
-        held = compact({name: file.digest for name, file in each.files.items()})
-        changes.append((str(each.folder), each.removed, each.private, held))
+        folder, files = str(each.folder), each.files
+        held = {name: file.digest for name, file in files.items()}
+        changes.append((folder, each.removed, each.private, held))
+        around = folder.removesuffix(f"/{plan.name}")
+        is_known = all(held[name] == known.get(name, held[name] if file.secret else "") for name, file in files.items())
+        if is_known and around != folder and not each.removed:
+            places.append(one_of((f"{around}/", tuple(held), each.private)))
+    written = one_of(tuple(places)) if stamp and len(places) == len(changes) else changes
     return (
         plan.name,
-        step and (step.stage, step.package, step.action, changes, step.detail, step.sizes),
-        stamp.row if isinstance(stamp, Stamp) else stamp,
+        step and (step.stage, step.package, step.action, written, step.detail, step.sizes),
+        stamp,
         _OTHERS(plan),
     )
 
@@ -399,9 +405,13 @@ def _plan_of(row: tuple[Any, ...]) -> PackagePlan:
     name, step, stamp, others = row
     name = sys.intern(name)
     if step:
-        stage, package, action, changes, detail, sizes = step
-        held = tuple([FolderChange(folder, _NO_FILES, *more) for folder, *more in changes])
-        step = Step(stage, package and name, action, held, one_of(detail), sizes and one_of(sizes))
+        stage, package, action, written, detail, sizes = step
+        changes: Any = (
+            HeldChanges(name, one_of(written), stamp)
+            if written and isinstance(written, tuple)
+            else tuple([FolderChange(folder, {}, *more) for folder, *more in written])
+        )
+        step = Step(stage, package and name, action, changes, one_of(detail), sizes and one_of(sizes))
     return PackagePlan(name, step, stamp, *others)
 
 
@@ -493,10 +503,9 @@ def require_register(plan: Plan, inputs: Inputs) -> None:
 
 def _staged(plan: Plan, record: Iterable[FolderChange], store: Store, workers: Workers) -> Sequence[Exchange]:
     """Stage a plan and its record. What other processes hold comes before what is removed."""
-    held = [str(change.folder) for change in plan.changes() if change.held]
-    if not held:
+    if not any(change.held for change in plan.changes()):
         return store.stage((*plan.changes(), *record))
-    store.make_common(held)
+    store.make_common(str(change.folder) for change in plan.changes() if change.held)
     _trim()  # the register and the record of a large fleet take memory
     removals = Plan(tuple(step for step in plan.steps if step.action is Action.REMOVED), plan.state)
     others = replace(plan, steps=tuple(step for step in plan.steps if step.action is not Action.REMOVED))
@@ -541,6 +550,7 @@ def remember(
     if not settled and not is_certain:
         return
     answer = Answer(*console.rendered(expected), int(expected.exit_code), settled, is_certain)
+    _trim()  # the folders of a large fleet take memory
     if sight := look():  # as late as possible: the clock of the file system must have moved on
         record_answer(call, session, sight, (), answer, store)
 

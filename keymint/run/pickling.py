@@ -10,14 +10,21 @@ from dataclasses import fields, is_dataclass
 from operator import attrgetter
 from typing import Any, ClassVar
 
+from keymint.view.stamps import Stamp
+
 
 class _Pickler(pickle.Pickler):
-    """Pickles frozen data by the arguments of its constructor, which is faster than field by field."""
+    """Pickles frozen data by the arguments of its constructor, which is faster than field by field.
+
+    Stamps arrive as they are written.
+    """
 
     _values: ClassVar[dict[type, Callable[[object], Any] | None]] = {}
 
     def reducer_override(self, given: object) -> Any:
         kind = type(given)
+        if isinstance(given, Stamp):
+            return tuple, (given.row,)
         if kind not in self._values:
             names = [each.name for each in fields(kind) if each.init] if is_dataclass(kind) else []
             self._values[kind] = attrgetter(*names) if len(names) > 1 else None  # of one it returns no tuple

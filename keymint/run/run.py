@@ -367,7 +367,7 @@ class Run:
             if planned is None or shared or workspace.exists() or workspace.state.joinpath(RECORD).exists():
                 planned = self._planned_again(workspace, make_plan)
             below = tuple(f"{root}/" for root in store.missing)
-            writes_there = any(f"{change.folder}/".startswith(below) for change in planned[1].changes())
+            writes_there = any(f"{folder}/".startswith(below) for folder in planned[1].folders())
             if writes_there and store.lock_missing(self.console.waiting):
                 planned = self._planned_again(workspace, make_plan)
             (inputs, plan, sight), planned = planned, None

@@ -349,7 +349,7 @@ class Work:
             return self.noting(*plan.diagnostics) if plan.diagnostics else self
         after = self.session.after(plan)
         profile = f"{self.session.workspace.profile}/"
-        if any(f"{change.folder}/".startswith(profile) for change in plan.changes()):
+        if any(f"{folder}/".startswith(profile) for folder in plan.folders()):
             after = after.session()
         names = [name for name, _ in self.parts]
         place = names.index(before) if before and before in names else len(names)

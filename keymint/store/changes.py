@@ -10,8 +10,8 @@ from pathlib import Path
 
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass, field, replace
-from keymint.view.stamps import State
-from keymint.view.tree import Content, File, Tree
+from keymint.view.stamps import NO_STAMP, State
+from keymint.view.tree import Content, File, HeldPackage, Tree
 
 __all__ = ["Action", "DocumentSize", "File", "FolderChange", "Plan", "Step", "file_mode", "folder_changes"]
 
@@ -40,7 +40,7 @@ class FolderChange:
         files: files by name; written in this order, so that a reader meets the least harm in between.
         removed: names of files to remove.
         private: the folder and the ones created on the way to it are 0700 even when no file is secret.
-        held: the digests of files by name whose content another process holds and will write.
+        held: the digests of files by name whose content another process holds and will write; empty if not known here.
     """
 
     folder: Path | str
@@ -107,6 +107,30 @@ class DocumentSize:
     plain_bytes: int
 
 
+_NO_FILES: Mapping[str, File] = {}
+
+
+class HeldChanges(HeldPackage):
+    """The changes of a package that another process holds; they are made as they are asked for."""
+
+    __slots__ = ()
+
+    def without_digests(self) -> HeldChanges:
+        """Return the changes without what only a stage asks for."""
+        return HeldChanges(self.name, self.places, NO_STAMP)
+
+    def folders(self) -> list[str]:
+        """Return the folder of each change."""
+        return [f"{around}{self.name}" for around, *_ in self.places]
+
+    def __iter__(self) -> Iterator[FolderChange]:
+        for around, names, private in self.places:
+            yield FolderChange(f"{around}{self.name}", _NO_FILES, (), private, dict.fromkeys(names, ""))
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+
 @dataclass(frozen=True, slots=True)
 class Step:
     """What one stage does for one package, or for the workspace as a whole (empty name).
@@ -123,13 +147,13 @@ class Step:
     stage: str
     package: str
     action: Action
-    changes: tuple[FolderChange, ...] = ()
+    changes: tuple[FolderChange, ...] | HeldChanges = ()
     detail: str = ""
     sizes: tuple[DocumentSize, ...] = ()
 
     def writes(self) -> bool:
         """Tell whether anything is written."""
-        return any(change.written or change.removed for change in self.changes)
+        return isinstance(self.changes, HeldChanges) or any(each.written or each.removed for each in self.changes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,8 +187,20 @@ class Plan:
         """Yield all changes, in order."""
         return itertools.chain(self.first, (change for step in self.steps for change in step.changes))
 
+    def folders(self) -> Iterator[str]:
+        """Yield the folder of each change, in order."""
+        yield from (str(change.folder) for change in self.first)
+        for changes in (step.changes for step in self.steps):
+            yield from (
+                changes.folders() if isinstance(changes, HeldChanges) else [str(change.folder) for change in changes]
+            )
+
+    def held(self) -> Iterator[HeldChanges]:
+        """Yield the packages that another process holds, of which little is kept."""
+        return (step.changes for step in self.steps if isinstance(step.changes, HeldChanges))
+
     def overlay(self, below: str = "") -> list[tuple[str, Mapping[str, Content]]]:
-        """Return the planned content by folder and name, for the stages that plan on top of this one.
+        """Return the planned content by folder and name, without :meth:`held`, for the stages that plan on top of it.
 
         Args:
             below: if given, a folder with a slash at its end; only the content of it and of its subfolders is returned.
@@ -174,7 +210,8 @@ class Plan:
                 str(change.folder),
                 {**change.written, **dict.fromkeys(change.removed)} if change.removed else change.written,
             )
-            for change in self.changes()
+            for changes in (self.first, *(step.changes for step in self.steps))
+            for change in (() if isinstance(changes, HeldChanges) else changes)
             if f"{change.folder}/".startswith(below)
         ]
 
@@ -185,8 +222,12 @@ class Plan:
             stages: of these the record stays.
         """
         first = (FolderChange(each.folder, held=dict.fromkeys(each.files, "")) for each in self.first)
+        steps = (
+            replace(step, changes=step.changes.without_digests()) if isinstance(step.changes, HeldChanges) else step
+            for step in self.steps
+        )
         state = State({name: self.state.stamps.get(name, {}) for name in stages})
-        return replace(self, state=state, first=tuple(first))
+        return replace(self, steps=tuple(steps), state=state, first=tuple(first))
 
     def writes(self) -> bool:
         """Tell whether anything is written."""

@@ -272,12 +272,14 @@ class Store:
         Raises:
             KeymintError: a path is not below a root, a symbolic link is in the way, or the system refuses.
         """
-        by_root: dict[str, list[str]] = {}
-        for folder in folders:
-            by_root.setdefault(self._roots.of(folder), []).append(f"{folder}/")
+        ends: dict[str, tuple[str, str]] = {}
+        for place in (f"{folder}/" for folder in folders):
+            first, last = ends.get(root := self._roots.of(place), (place, place))
+            ends[root] = min(first, place), max(last, place)
         with OpenFolders(self._roots) as opened:
-            for own in (each for each in by_root.values() if len(each) > 1):
-                opened.open(os.path.commonpath([min(own), max(own)]))
+            for first, last in ends.values():
+                if first != last:
+                    opened.open(os.path.commonpath([first, last]))
 
     def commit(self, staged: Sequence[Exchange]) -> None:
         """Make staged changes visible and durable, in order; see :mod:`keymint.store.group_commit`.

@@ -7,7 +7,6 @@ the existing files.
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import hashlib
 import itertools
@@ -49,43 +48,6 @@ def digest(*parts: bytes | memoryview | str) -> str:
 def digest_of_texts(*texts: str) -> str:
     """Return the SHA-256, in hex, of texts without NUL, such as paths and digests: for many, it is quicker."""
     return hashlib.sha256("\0".join(texts).encode("utf-8", "surrogatepass")).hexdigest()
-
-
-class Digests(Mapping[str, str]):
-    """Digests of files by name that take little memory where many have the same names, as the folders of a fleet do.
-
-    Args:
-        names: the names; equal ones are kept once by whoever makes many.
-        packed: their digests, one after the other, as bytes.
-    """
-
-    __slots__ = ("_names", "_packed")
-
-    def __init__(self, names: tuple[str, ...], packed: bytes) -> None:
-        self._names, self._packed = names, packed
-
-    def __getitem__(self, name: str) -> str:
-        at = dict(zip(self._names, range(0, len(self._packed), _DIGEST // 2), strict=True))[name]
-        return self._packed[at : at + _DIGEST // 2].hex()
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._names)
-
-    def __len__(self) -> int:
-        return len(self._names)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (one_of(self._names), self._packed)
-
-
-def compact(digests: Mapping[str, str]) -> Mapping[str, str]:
-    """Return the same mapping; as :class:`Digests` if its values are digests."""
-    text = "".join(digests.values())
-    with contextlib.suppress(ValueError):
-        packed = bytes.fromhex(text)
-        if packed.hex() == text and all(len(each) == _DIGEST for each in digests.values()):
-            return Digests(one_of(tuple(digests)), packed)
-    return digests
 
 
 @functools.lru_cache(maxsize=256)
@@ -177,6 +139,9 @@ def _row(stamp: Stamp) -> StampRow:
         common, line = [(text,) for text in texts], ""
     form = _form_of(files, tuple(sorted(stamp.secret)), stamp.build_types, tuple(common))
     return form, line.encode()
+
+
+NO_STAMP: StampRow = Stamp("", {}).row
 
 
 def stamp_of(recorded: Stamp | StampRow) -> Stamp:

@@ -27,7 +27,7 @@ from keymint.view.file_reading import (
     read_error,
     read_file,
 )
-from keymint.view.stamps import digest
+from keymint.view.stamps import StampRow, digest, stamp_of
 
 if TYPE_CHECKING:
     from keymint.view.recorded_answers import Sight
@@ -72,7 +72,31 @@ class File:
 
 
 class HeldError(Exception):
-    """A plan needs content that another process holds: it must be made by one process."""
+    """A plan needs what another process holds: it must be made by one process."""
+
+
+Place = tuple[str, tuple[str, ...], bool]
+"""The folder around one in which files are new, with a slash; their names; whether the one is private."""
+
+
+class HeldPackage:
+    """The files of a package that another process holds: little is kept of them, as those of a fleet are alike.
+
+    Args:
+        name: the package, and so the path of each of its folders below the one around it.
+        places: these folders.
+        stamp: the stamp of the package as it is written.
+    """
+
+    __slots__ = ("name", "places", "stamp")
+
+    def __init__(self, name: str, places: tuple[Place, ...], stamp: StampRow) -> None:
+        self.name, self.places, self.stamp = name, places, stamp
+
+    def files(self, around: str) -> Mapping[str, str]:
+        """Return the digests of the files in the folder below another one; empty if the stamp does not have one."""
+        outputs = stamp_of(self.stamp).outputs
+        return {name: outputs.get(name, "") for place, names, _ in self.places if place == around for name in names}
 
 
 Content = bytes | File | str | None
@@ -105,47 +129,73 @@ class Tree:
         self._left_out: set[str] = set()
         self.remnants: set[str] = set()
         """What an interrupted run was about to put into folders that were listed; it counts as absent."""
-        self._held: tuple[str, ...] = ()
-        """Folders that were read completely, with a slash."""
         self._files: dict[str, Mapping[str, Content]] = {}
         """Planned content by folder and name."""
         self._folders: dict[str, tuple[str, ...] | set[str]] = {}
         """Names of planned folders, by the folder around them; few names take less memory as a tuple."""
+        self._packages: dict[str, dict[str, HeldPackage]] = {}
+        """Packages that another process holds, by the folder around theirs, with a slash, and name."""
+        self._inside: dict[str, dict[str, set[str]]] = {}
+        """Names of their folders by that folder, and by the path below it of the folder around them, with a slash."""
 
-    def overlaid(self, changes: Iterable[tuple[Path | str, Mapping[str, Content]]]) -> Tree:
+    def overlaid(
+        self, changes: Iterable[tuple[Path | str, Mapping[str, Content]]], held: Iterable[HeldPackage] = ()
+    ) -> Tree:
         """Return this view with more planned content, which hides the disk.
 
         Args:
             changes: folders, perhaps more than once, with the content of files by name; None for a file that will be
                 removed. The view keeps these mappings.
+            held: packages that another process holds.
+
+        Raises:
+            HeldError: one is planned already.
         """
         tree = Tree()
         tree.__dict__.update(self.__dict__)  # they share what is known of the disk
-        files, folders = tree._files, tree._folders = dict(self._files), dict(self._folders)
+        files = tree._files = dict(self._files)
+        tree._folders = dict(self._folders)
         # What is shared with other views is copied before it changes.
         own: dict[str, dict[str, Content]] = {}
         own_folders: dict[str, set[str]] = {}
+        packages: dict[str, dict[str, HeldPackage]] = {}
+        for each in held:
+            for around, *_ in each.places:
+                if self._planned_in(folder := f"{around}{each.name}"):
+                    raise HeldError(folder)
+                packages.setdefault(around, {})[each.name] = each
+        for around in packages:
+            tree._show(around[:-1], own_folders)
+            packages[around] |= self._packages.get(around, {})
+        tree._packages = self._packages | packages
+        tree._inside = {around: known for around, known in self._inside.items() if around not in packages}
         for place, contents in changes:
             folder = str(place)
             if folder in own:
                 own[folder].update(contents)
-            elif folder in files:
-                files[folder] = own[folder] = {**files[folder], **contents}
+            elif known := tree._planned_in(folder):
+                files[folder] = own[folder] = {**known, **contents}
             else:
                 files[folder] = contents
-            while folder and any(content is not None for content in contents.values()):
-                around, _, name = folder.rpartition("/")
-                known = folders.get(around, ())
-                if name in known:
-                    break
-                if around in own_folders:
-                    own_folders[around].add(name)
-                elif len(known) < _FEW:
-                    folders[around] = (*known, sys.intern(name))
-                else:
-                    folders[around] = own_folders[around] = {*known, name}
-                folder = around
+            if any(content is not None for content in contents.values()):
+                tree._show(folder, own_folders)
         return tree
+
+    def _show(self, folder: str, own: dict[str, set[str]]) -> None:
+        """Add a folder to those that are planned; ``own`` has the sets of names that belong to this view only."""
+        folders = self._folders
+        while folder:
+            around, _, name = folder.rpartition("/")
+            known = folders.get(around, ())
+            if name in known:
+                break
+            if around in own:
+                own[around].add(name)
+            elif len(known) < _FEW:
+                folders[around] = (*known, sys.intern(name))
+            else:
+                folders[around] = own[around] = {*known, name}
+            folder = around
 
     def apart(self) -> Tree:
         """Return this view with a memory of its own of the disk."""
@@ -153,11 +203,32 @@ class Tree:
         tree.__dict__.update({name: copy.copy(known) for name, known in self.__dict__.items()})
         return tree
 
+    def _planned_in(self, folder: str) -> Mapping[str, Content]:
+        """Return the planned content of a folder by name."""
+        found = self._files.get(folder)
+        for around, packages in self._packages.items() if found is None else ():
+            if folder.startswith(around) and (package := packages.get(folder[len(around) :])):
+                return package.files(around)
+        return found or {}
+
+    def _folders_of_packages(self, folder: str) -> Iterator[str]:
+        """Yield the names in a folder of those with packages that another process holds."""
+        place = f"{folder}/"
+        for around in filter(place.startswith, self._packages):
+            if around not in self._inside:
+                inside = self._inside[around] = {}
+                for package in self._packages[around]:
+                    path = package
+                    while path:
+                        path, slash, name = path.rpartition("/")
+                        inside.setdefault(path + slash, set()).add(name)
+            yield from self._inside[around].get(place[len(around) :], ())
+
     def _planned(self, path: str) -> tuple[bool, Content]:
         """Return whether a file is planned, and its content: None if it will be removed."""
         folder, _, name = path.rpartition("/")
-        files = self._files.get(folder)
-        return (False, None) if files is None or name not in files else (True, files[name])
+        files = self._planned_in(folder)
+        return (True, files[name]) if name in files else (False, None)
 
     def read(self, path: Path | str) -> bytes | None:
         """Return a file's bytes, or None if there is none; errors as :func:`read_file`."""
@@ -180,12 +251,14 @@ class Tree:
         if is_planned:
             if isinstance(planned, bytes):
                 return digest(planned)
+            if planned == "":
+                raise HeldError(path)
             return planned.digest if isinstance(planned, File) else planned
         if path not in self._digests:
             kept = path in self._contents
             content = self._read(path)
             if not kept:  # a large fleet has more bytes than memory
-                del self._contents[path]
+                self._contents.pop(path, None)
             self._digests[path] = None if content is None else digest(content)
         return self._digests[path]
 
@@ -203,7 +276,9 @@ class Tree:
         """
         path = str(path)
         if path not in self._statuses:
-            self._statuses[path] = None if self._is_absent(path) else self._status(path)
+            if self._is_absent(path):
+                return None
+            self._statuses[path] = self._status(path)
         return self._statuses[path]
 
     def follows(self, path: Path | str) -> str:
@@ -241,7 +316,6 @@ class Tree:
                     self._contents[path] = self._equal.setdefault(content, content)
                 except KeymintError as error:
                     self._contents[path] = None if self._leaves_out(path, error, optional) else error
-        self._held = (*self._held, f"{folder}/")
 
     @property
     def left_out(self) -> Sequence[str]:
@@ -269,7 +343,7 @@ class Tree:
         """
         folder = str(folder)
         entries = self._once(self._entries, folder, self._scan, {})
-        files, folders = self._files.get(folder, {}), self._folders.get(folder, ())
+        files, folders = self._planned_in(folder), {*self._folders.get(folder, ()), *self._folders_of_packages(folder)}
         if not files and not folders:
             return list(entries.items())
         there = {**entries, **{name: False for name, content in files.items() if content is not None}}
@@ -318,8 +392,10 @@ class Tree:
     ) -> _Read:
         """Return what is known about a path, or raise its error; the disk is accessed at the first call."""
         if path not in known:
+            if self._is_absent(path):
+                return absent
             try:
-                known[path] = absent if self._is_absent(path) else read(path)
+                known[path] = read(path)
             except KeymintError as error:
                 known[path] = error
         found = known[path]
@@ -365,7 +441,7 @@ class Tree:
         parent, _, name = path.rpartition("/")
         around = self._entries.get(parent)
         if around is None:
-            return path.startswith(self._held) and ".git" not in path.split("/")
+            return bool(parent) and self._is_absent(parent)
         return not isinstance(around, KeymintError) and name not in around
 
     def _scan(self, folder: str) -> dict[str, bool]:

@@ -7,7 +7,7 @@ At the end, what changes with them: the files that all share, and the removal of
 from __future__ import annotations
 
 import stat
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from cryptography import x509
@@ -276,7 +276,7 @@ def _linked(session: Session, changes: EnclaveChanges) -> Iterator[str]:
                 yield target
 
 
-def obsolete_steps(session: Session, by_type: Iterable[Mapping[str, Artifact]], steps: Iterable[Step]) -> list[Step]:
+def obsolete_steps(session: Session, by_type: Iterable[Mapping[str, Artifact]], steps: Sequence[Step]) -> list[Step]:
     """Return the step that removes copies which are none any more, e.g. that of one authority in place of two.
 
     A file is a former copy by its path, or a second name of what a copy was; one that a link leads to stays.
@@ -287,12 +287,13 @@ def obsolete_steps(session: Session, by_type: Iterable[Mapping[str, Artifact]], 
         steps: the steps of the run.
     """
     tree, install = session.tree, session.workspace.install
-    written = {f"{change.folder}/{file}" for each in steps for change in each.changes for file in change.written}
     copies = {str(install / path): each for found in by_type for path, each in found.items()}
-    folders = {path.rpartition("/")[0] for path in copies} - {str(session.enclaves)} if written else ()
+    folders = {path.rpartition("/")[0] for path in copies} - {str(session.enclaves)}
+    folders = folders if any(change.written for each in steps for change in each.changes) else set()
     strays = {f"{folder}/{entry}" for folder in folders for entry, is_folder in tree.names(folder) if not is_folder}
     if not strays - copies.keys():
         return []
+    written = {f"{change.folder}/{file}" for each in steps for change in each.changes for file in change.written}
     former = {str(install / path): each for found in shared_copies(session, NO_CHANGES) for path, each in found.items()}
     strays -= copies.keys() | {tree.follows(path) for path, _ in tree.walk(install) if path not in written}
     contents = {each.content for each in former.values()} - {each.content for each in copies.values()}

@@ -90,7 +90,7 @@ class Inputs:
 
     def after(self, plan: Plan) -> Self:
         """Return the inputs as they are once a plan is carried out."""
-        return replace(self, tree=self.tree.overlaid(plan.overlay()), state=plan.state)
+        return replace(self, tree=self.tree.overlaid(plan.overlay(), plan.held()), state=plan.state)
 
     def profile_marker(self) -> Origin:
         """Return the location of the profile's main document, for messages."""
@@ -236,14 +236,13 @@ class Session(Inputs):
     def after(self, plan: Plan) -> Self:
         """Return the session as it is once a plan is carried out."""
         src, made = f"{self.workspace.src}/", self._made_of_sources
-        changed = {f"{change.folder}/" for change in plan.changes()}
-        changed = {folder for folder in changed if folder.startswith(src)}
+        changed = {f"{folder}/" for folder in plan.folders() if folder.startswith(src)}
         if changed:
             files = [key for key in made if key[0] == _FILES]
             made = {
                 key: made[key] for key in files if changed.isdisjoint((f"{src}{key[1]}/", f"{src}{key[1]}/{DEFAULTS}/"))
             }
-        tree = self.tree.overlaid(plan.overlay())
+        tree = self.tree.overlaid(plan.overlay(), plan.held())
         return replace(self, tree=tree, state=plan.state, _made_of_sources=made)
 
     def apart(self) -> Self:

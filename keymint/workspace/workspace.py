@@ -255,9 +255,6 @@ def missing_gitignores(workspace: Workspace, plan: Plan) -> Sequence[FolderChang
     An existing file belongs to the user and is kept. A space that is a link or read-only is skipped, unless the plan
     writes to it anyway.
     """
-    written = {str(change.folder) for change in plan.changes() if change.written}
-    if written:
-        written.add(str(workspace.state))  # has the record of what is written
     spaces = (workspace.private, workspace.build, workspace.install, workspace.next_install, workspace.state)
     present = (space for space in spaces if space != workspace.next_install and space.is_dir())
     kept = [space for space in present if not space.is_symlink() and os.access(space, os.W_OK)]
@@ -265,5 +262,9 @@ def missing_gitignores(workspace: Workspace, plan: Plan) -> Sequence[FolderChang
         FolderChange(space, {GITIGNORE: File(_IGNORES_ALL)}, private=space == workspace.private)
         for space in spaces
         if not os.path.lexists(space / GITIGNORE)
-        and (space in kept or any(f"{folder}/".startswith(f"{space}/") for folder in written))
+        and (
+            space in kept
+            or any(f"{folder}/".startswith(f"{space}/") for folder in plan.folders())
+            or (space == workspace.state and plan.writes())  # it has the record of what is written
+        )
     ]

@@ -22,7 +22,7 @@ from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.ir import Kind, Rule, SubjectRules, once_of_kind
 from keymint.life import terms
 from keymint.names import name_of
-from keymint.view.stamps import Stamp, State, digest, digest_of_texts
+from keymint.view.stamps import Stamp, StampRow, State, digest, digest_of_texts
 from keymint.workspace.session import Session
 
 STEPS = 30_000_000
@@ -92,7 +92,7 @@ class EnclaveProof:
         diagnostics: files that could not be read, or that do not rest on the workspace's authorities.
         terms: when the documents are in force.
         build_types: the build types of the package; of claims across subjects, the one that they are about.
-        stamp: the record to keep; None if it does not change.
+        stamp: the record to keep, perhaps as it is written; None if it does not change.
         refuted: the proof must not be on record.
     """
 
@@ -103,7 +103,7 @@ class EnclaveProof:
     diagnostics: tuple[Diagnostic, ...] = ()
     terms: tuple[ValidityTerm, ...] = ()
     build_types: tuple[str, ...] = ()
-    stamp: Stamp | None = None
+    stamp: Stamp | StampRow | None = None
     refuted: bool = False
 
 

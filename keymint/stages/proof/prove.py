@@ -28,7 +28,7 @@ from keymint.stages.proof import proof_results
 from keymint.stages.proof.proof_results import EnclaveProof, ProofEffort, ProofResults
 from keymint.stages.proof.trust_anchors import anchors_of, shared_anchors, unread_of
 from keymint.stages.work import NewPackage, PackageStage
-from keymint.view.stamps import Stamp, digest, digest_files, digest_of_texts
+from keymint.view.stamps import Stamp, digest, digest_files, digest_of_texts, stamp_of
 from keymint.workspace import package_build_types
 from keymint.workspace.installed_enclaves import enclave_digests, enclave_files, not_installed
 from keymint.workspace.package_build_types import SHARED
@@ -209,7 +209,7 @@ class ProofStage(PackageStage):
         (first, values, _), (second, others, new) = one, other
         if not first.stamp or not second.stamp or first.claims != second.claims:
             return None
-        is_same = self._outputs_like(first, new, (values, others)) == second.stamp.outputs
+        is_same = self._outputs_like(first, new, (values, others)) == stamp_of(second.stamp).outputs
         is_in_force = not any(terms.findings((*first.terms, *second.terms), self._session.now))
         return (first, values, _differing(values, others)) if is_same and is_in_force else None
 
@@ -219,7 +219,7 @@ class ProofStage(PackageStage):
         """Return the record of a proof that is that of another one, but for the rules and the values of a package."""
         written = {proof_results.WRITTEN: digest(new.written)} if new.written else {}
         own = {proof_results.RULES: proof_results.placeless_digest((new.rules,)), **written}
-        outputs, names = first.stamp.outputs if first.stamp else {}, dict(zip(*values, strict=False))
+        outputs, names = stamp_of(first.stamp).outputs if first.stamp else {}, dict(zip(*values, strict=False))
         dates = _any_of(values[0]).sub(
             lambda value: names.get(value[0], value[0]), outputs.get(proof_results.TERMS, "")
         )
