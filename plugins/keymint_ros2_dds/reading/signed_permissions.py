@@ -7,7 +7,7 @@ Documents that the schema does not allow are read as well, since vendors accept 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache, lru_cache
 from itertools import chain
 
@@ -174,12 +174,13 @@ def _lines(*lines: str) -> str:
     return "".join(rf"\n *+{each}" for each in lines)
 
 
-def _any_criteria(action: str) -> str:
+def _any_criteria() -> str:
     topics = _lines("<topics>") + f"(?:{_lines(f'<topic>{_TEXT}++</topic>')})++" + _lines("</topics>")
     partitions = (
         _lines("<partitions>") + f"(?:{_lines(f'<partition>{_TEXT}*+</partition>')})++" + _lines("</partitions>")
     )
-    return f"(?:{_lines(f'<{action}>')}{topics}(?:{partitions})?+{_lines(f'</{action}>')})*+"
+    begin, end = _lines(f"<(?P<action>{'|'.join(ACTIONS)})>"), _lines("</(?P=action)>")
+    return f"(?:{begin}{topics}(?:{partitions})?+{end})*+"
 
 
 @cache
@@ -196,7 +197,7 @@ def _plain_form() -> re.Pattern[str]:
         )
         + f"(?:{_lines('<(?P<effect>allow|deny)_rule>', '<domains>')}"
         + f"(?:{_lines(f'<id>{_ID}</id>')}|{id_range})++{_lines('</domains>')}"
-        + "".join(map(_any_criteria, ACTIONS))
+        + _any_criteria()
         + _lines("</(?P=effect)_rule>") + ")*+"
         + _lines("<default>(?:ALLOW|DENY)</default>", "</grant>", "</permissions>") + "\n</dds>\n",
         re.ASCII,
@@ -229,8 +230,16 @@ def _plain(content: bytes) -> tuple[DocumentGrant, ...] | None:
         return None
     # The form has no DOCTYPE and no entity, and is far below every limit, so that lxml alone may parse it.
     grants = tuple(map(_grant, etree.fromstring(content).iterfind("permissions/grant")))
+    if not all(_in_order(rule.criteria) for grant in grants for rule in grant.rules):
+        return None
     last = max((domains.last or 0 for grant in grants for rule in grant.rules for domains in rule.domains), default=0)
     return None if last > MAX_DOMAIN else grants
+
+
+def _in_order(criteria: Sequence[DocumentCriteria]) -> bool:
+    """Tell whether criteria are in the order of the schema, which the form leaves open."""
+    places = [ACTIONS.index(each.action) for each in criteria]
+    return places == sorted(places)
 
 
 def defects_in_file(defects: Iterable[Diagnostic], file: str, offset: int) -> tuple[Diagnostic, ...]:

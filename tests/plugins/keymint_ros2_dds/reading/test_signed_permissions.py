@@ -177,3 +177,13 @@ def test_a_blank_after_the_subject_is_not_plain() -> None:
 def test_what_keymint_writes_is_read_fast() -> None:
     rules = (GrantRule(Effect.ALLOW, EVERY, {TopicAction.PUBLISH: ("rt/a", "rt/*"), TopicAction.RELAY: ("b",)}),)
     assert signed_permissions._plain(permissions_document.render(package().grant, rules)) is not None
+
+
+def test_criteria_in_another_order_than_that_of_the_schema_are_not_read_fast() -> None:
+    rules = (GrantRule(Effect.ALLOW, EVERY, {TopicAction.PUBLISH: ("rt/a",), TopicAction.SUBSCRIBE: ("rt/a",)}),)
+    content = permissions_document.render(package().grant, rules)
+    swapped = content.replace(b"publish>", b"other>").replace(b"subscribe>", b"publish>")
+    swapped = swapped.replace(b"other>", b"subscribe>")
+    assert signed_permissions._plain(content) is not None
+    assert signed_permissions._plain(swapped) is None
+    assert read(swapped).defects
