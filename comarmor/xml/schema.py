@@ -91,8 +91,12 @@ class SchemaVocabulary:
 
 
 @lru_cache
-def _compiled(path: Path) -> etree.XMLSchema:
-    return etree.XMLSchema(file=str(path))
+def _compiled(owner: str, name: str) -> etree.XMLSchema:
+    return etree.XMLSchema(file=str(_path(owner, name)))
+
+
+def _path(owner: str, name: str) -> Path:
+    return locate(owner, "schemas") / f"{name}.xsd"
 
 
 @lru_cache
@@ -122,11 +126,10 @@ def validate(root: etree._Element, owner: str, name: str, file: str, chain: tupl
     Raises:
         ComArmorError: the document is not valid; every defect with ``file:line``, what was expected, and a hint.
     """
-    schema = locate(owner, "schemas") / f"{name}.xsd"
-    compiled = _compiled(schema)
+    compiled = _compiled(owner, name)
     if compiled.validate(root):
         return
-    vocabulary = _vocabulary(schema)
+    vocabulary = _vocabulary(_path(owner, name))
     diagnostics: dict[Diagnostic, None] = {}
     log: Any = compiled.error_log
     wrong = {

@@ -123,13 +123,12 @@ def entries_of(metadata: str) -> Iterator[PluginInfo]:
         text = content.decode()
     except (OSError, ValueError):
         return
-    group, headers = "", _headers(metadata)
+    group, headers, location = "", _headers(metadata), str(Path(metadata).parent)
     for line in map(str.strip, text.splitlines()):
         name, equals, target = line.partition("=")
         if line.startswith("["):
             group = line.strip("[]")
         elif group in GROUPS and equals and not line.startswith("#"):
-            location = str(Path(metadata).parent)
             yield PluginInfo(group, name.strip(), target.strip(), *headers, location, metadata)
 
 
