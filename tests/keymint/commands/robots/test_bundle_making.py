@@ -32,7 +32,8 @@ def test_the_register_has_the_number_first(ws: Path) -> None:
     plan, bundles = plan_bundles(session, dict.fromkeys(["robot1/listener", "talker"]), authorities)
     assert [each.manifest.name for each in bundles] == ["robot1/listener", "talker"]
     [change] = plan.first
-    register = loaded_register(change.files["register.sqlite3"].content, Origin("register"))
+    content = b"".join(change.files["register.sqlite3"].pieces())
+    register = loaded_register(content, Origin("register"))
     assert register.bundles == {"robot1/listener": NOW, "talker": NOW}
     assert plan.steps == ()
 
