@@ -141,8 +141,7 @@ _RAW_FORMS = {
     ("rr/", "Reply"): ("ros_execute", "ros_call"),
 }
 """Prefix and suffix of the raw topics of topics and services, and what gives the permissions on a raw topic."""
-_SEGMENT = lazy_regex(r"[A-Za-z_][A-Za-z0-9_]*")
-_FULLY_QUALIFIED = lazy_regex(rf"(?:/{_SEGMENT.pattern})+")
+_FULLY_QUALIFIED = lazy_regex(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
 
 
 def of_raw_topic(permission: str, name: str) -> tuple[str, str, str] | None:
@@ -156,7 +155,7 @@ def of_raw_topic(permission: str, name: str) -> tuple[str, str, str] | None:
 
 def is_segment(text: str) -> bool:
     """Whether a text is a legal segment of a ROS name, e.g. ``talker``."""
-    return _SEGMENT.fullmatch(text) is not None
+    return text.isascii() and text.isidentifier()
 
 
 def is_fully_qualified(name: str) -> bool:

@@ -17,7 +17,7 @@ from typing import Generic, TypeVar
 
 from lxml import etree
 
-from comarmor.text import did_you_mean, lazy_regex, quote
+from comarmor.text import did_you_mean, quote
 from comarmor.xml import reader, schema
 from comarmor.xml.reader import line
 from keymint.api import DomainRange
@@ -30,8 +30,6 @@ DEFAULT_DOMAINS = (DomainRange(0, 0),)
 _NAMELESS = "<document>"
 _CACHE_SIZE = 256
 """Documents of one kind to cache: enough for all that packages share."""
-_PLAIN = lazy_regex(r"[a-z_]+(\.[a-z_]+)*(/[a-z_]+(\.[a-z_]+)*)*")
-"""The usual paths, which are already normalized."""
 
 
 class Reader(Generic[_T]):
@@ -185,10 +183,15 @@ def normal_path(path: str, where: Origin) -> str:
     Raises:
         KeymintError: the path is absolute or contains ``..``.
     """
-    if _PLAIN.fullmatch(path):
-        return path
-    if path.startswith("/") or ".." in path.split("/") or "\\" in path or not path.isprintable():
+    if (normal := _normal(path)) is None:
         message = f"the path {path!r} is not a plain relative path"
         help_ = "write a path inside the same folder, without '..' or a leading '/'"
         raise KeymintError(message, where=where, help=help_, code="path-outside")
+    return normal
+
+
+@lru_cache
+def _normal(path: str) -> str | None:
+    if path.startswith("/") or ".." in path.split("/") or "\\" in path or not path.isprintable():
+        return None
     return posixpath.normpath(path)
