@@ -165,10 +165,12 @@ class Stamps(Mapping[str, Stamp]):
         rows: by name.
     """
 
-    __slots__ = ("rows",)
+    __slots__ = ("_last", "rows")
 
     def __init__(self, rows: Mapping[str, StampRow]) -> None:
         self.rows = rows
+        self._last: tuple[str, Stamp] | None = None
+        """The one that was read last, with its name: whoever looks at a package asks several times."""
 
     @classmethod
     def of(cls, stamps: Mapping[str, Stamp] | Mapping[str, Stamp | StampRow]) -> Stamps:
@@ -180,7 +182,9 @@ class Stamps(Mapping[str, Stamp]):
         )
 
     def __getitem__(self, name: str) -> Stamp:
-        return stamp_of(self.rows[name])
+        if self._last is None or self._last[0] != name:
+            self._last = name, stamp_of(self.rows[name])
+        return self._last[1]
 
     def __contains__(self, name: object) -> bool:
         return name in self.rows

@@ -203,6 +203,11 @@ class Tree:
         tree.__dict__.update({name: copy.copy(known) for name, known in self.__dict__.items()})
         return tree
 
+    @property
+    def _plans(self) -> bool:
+        """Whether anything is planned; a verb that does not write asks for many files."""
+        return bool(self._files or self._packages)
+
     def _planned_in(self, folder: str) -> Mapping[str, Content]:
         """Return the planned content of a folder by name."""
         found = self._files.get(folder)
@@ -226,6 +231,8 @@ class Tree:
 
     def _planned(self, path: str) -> tuple[bool, Content]:
         """Return whether a file is planned, and its content: None if it will be removed."""
+        if not self._plans:
+            return False, None
         folder, _, name = path.rpartition("/")
         files = self._planned_in(folder)
         return (True, files[name]) if name in files else (False, None)
@@ -343,6 +350,8 @@ class Tree:
         """
         folder = str(folder)
         entries = self._once(self._entries, folder, self._scan, {})
+        if not self._plans:
+            return list(entries.items())
         files, folders = self._planned_in(folder), {*self._folders.get(folder, ()), *self._folders_of_packages(folder)}
         if not files and not folders:
             return list(entries.items())
