@@ -14,11 +14,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import cache, partial
-from importlib import import_module
 from itertools import chain
-from typing import cast
 
 from comarmor.patterns import evaluate
+from comarmor.patterns.counterexample_search import CounterexampleSearch
 from comarmor.patterns.decision_lists import EVERY_WORD, BudgetError, DecisionList, ProofResult, SearchBudget, Universe
 from comarmor.patterns.derivatives import Derivatives
 from comarmor.patterns.evaluate import Evaluator, permits, shortest
@@ -74,7 +73,7 @@ def escapes(
         if len(permitting) == 1 and evaluate.implies(permitting[0], denying, universe):
             return None
         derivatives = cache(lambda: Derivatives(_patterns((*permitting, denying)), universe))
-        return _searched(permitting, denying, universe, derivatives, limits.state_counter())
+        return CounterexampleSearch(permitting, denying, universe, derivatives, limits.state_counter()).shortest()
 
     def is_denied(word: str) -> bool:
         return all(permits(each, word) for each in permitting) and not permits(denying, word)
@@ -118,7 +117,7 @@ def _search_cubes(
 
     def search(permitting: Sequence[DecisionList], denying: DecisionList, best: str | None) -> str | None:
         limit = None if best is None else len(best)
-        return _searched(permitting, denying, universe, derivatives, count_state, limit=limit)
+        return CounterexampleSearch(permitting, denying, universe, derivatives, count_state).shortest(limit)
 
     best: str | None = None
     for each in b:
@@ -128,12 +127,6 @@ def _search_cubes(
     if word is not None and not all(permits(each, word) for each in b[1:]):
         word = search(b, a, best)
     return best if word is None else word
-
-
-def _searched(*given: object, limit: int | None = None) -> str | None:
-    """Search for a counterexample; most claims are proven without a search."""
-    search = import_module("comarmor.patterns.counterexample_search").CounterexampleSearch(*given)
-    return cast("str | None", search.shortest(limit))
 
 
 def _patterns(lists: Sequence[DecisionList]) -> Iterator[Glob]:

@@ -78,8 +78,7 @@ class VerbCommand(click.Command):
         Otherwise it would seek similar names of each short option, which takes 0.6 ms.
         """
         parser = super().make_parser(ctx)
-        known = vars(parser)
-        known["_long_opt"] |= known["_short_opt"]
+        vars(parser)["_long_opt"].update(vars(parser)["_short_opt"])
         return parser
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:

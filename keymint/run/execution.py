@@ -55,11 +55,7 @@ if TYPE_CHECKING:
     from queue import SimpleQueue
 
 # A run in one process needs none of these.
-_answer_bytes, _loads, _queue = (
-    lazy("keymint.run.pickling:answer_bytes"),
-    lazy("pickle:loads"),
-    lazy("queue:SimpleQueue"),
-)
+_encoded, _loads, _queue = lazy("keymint.run.pickling:answer_bytes"), lazy("pickle:loads"), lazy("queue:SimpleQueue")
 
 MIN_PACKAGES = 64
 """Packages from which on processes are worth their start."""
@@ -243,7 +239,7 @@ class PackedChanges:
             self._secrets.append(secret)
             others = {name: file for name, file in each.files.items() if name not in secret}
             public.append(replace(each, files=others) if secret else each)
-        self._packed = zlib.compress(_answer_bytes(public), 1)
+        self._packed = zlib.compress(_encoded(public), 1)
         self._digest = digest(self._packed)
 
     def __iter__(self) -> Iterator[FolderChange]:
@@ -301,7 +297,7 @@ def _work(pipe: Connection, inherited: Sequence[Connection], task: _Task) -> Non
                 pipe.send_bytes(answer)
 
     def send(*answer: object) -> None:
-        answers.put(_answer_bytes(*answer))
+        answers.put(_encoded(*answer))
 
     # A pipe takes little before the parent reads, which plans a part itself: this process must not wait for that.
     sender = threading.Thread(target=deliver, daemon=True)
@@ -351,7 +347,7 @@ def _planned_in_parts(send: Callable[[memoryview], object], task: _Task) -> _Cha
                 refused = None
             else:
                 plans = [_row(each) if isinstance(each, PackagePlan) else each for each in found]
-                of_stage.append(_answer_bytes(_DONE if is_last else _PART, plans))
+                of_stage.append(_encoded(_DONE if is_last else _PART, plans))
                 changes[number].append(PackedChanges(changed) if len(parts) > 1 else changed)
                 while is_last and of_stage:
                     send(of_stage.pop(0))

@@ -7,7 +7,7 @@ Documents that the schema does not allow are read as well, since vendors accept 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache, lru_cache
 from itertools import chain
 
@@ -230,16 +230,10 @@ def _plain(content: bytes) -> tuple[DocumentGrant, ...] | None:
         return None
     # The form has no DOCTYPE and no entity, and is far below every limit, so that lxml alone may parse it.
     grants = tuple(map(_grant, etree.fromstring(content).iterfind("permissions/grant")))
-    if not all(_in_order(rule.criteria) for grant in grants for rule in grant.rules):
-        return None
+    # The form leaves their order open, which the schema does not.
+    orders = [[ACTIONS.index(each.action) for each in rule.criteria] for grant in grants for rule in grant.rules]
     last = max((domains.last or 0 for grant in grants for rule in grant.rules for domains in rule.domains), default=0)
-    return None if last > MAX_DOMAIN else grants
-
-
-def _in_order(criteria: Sequence[DocumentCriteria]) -> bool:
-    """Tell whether criteria are in the order of the schema, which the form leaves open."""
-    places = [ACTIONS.index(each.action) for each in criteria]
-    return places == sorted(places)
+    return None if last > MAX_DOMAIN or any(order != sorted(order) for order in orders) else grants
 
 
 def defects_in_file(defects: Iterable[Diagnostic], file: str, offset: int) -> tuple[Diagnostic, ...]:
