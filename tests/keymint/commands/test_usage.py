@@ -120,3 +120,8 @@ def test_a_plugin_that_a_file_names_is_no_usage_error(keymint: Callable, provisi
         profile.write_text(wrong)
         assert keymint("build", cwd=provisioned).code == 1
         profile.write_text(text)
+
+
+@pytest.mark.parametrize("form", [("-w", "{}"), ("-w{}",), ("-w={}",), ("--workspace={}",), ("-qw", "{}")])
+def test_an_option_takes_its_value_in_any_form(keymint: Callable, provisioned: Path, form: tuple[str, ...]) -> None:
+    assert keymint("status", *(each.format(provisioned) for each in form)).exit_code == 0
