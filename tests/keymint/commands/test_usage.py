@@ -122,6 +122,6 @@ def test_a_plugin_that_a_file_names_is_no_usage_error(keymint: Callable, provisi
         profile.write_text(text)
 
 
-@pytest.mark.parametrize("form", [("-w", "{}"), ("-w{}",), ("-w={}",), ("--workspace={}",), ("-qw", "{}")])
+@pytest.mark.parametrize("form", [("-w", "{}"), ("-w{}",), ("--workspace={}",), ("-qw", "{}")])
 def test_an_option_takes_its_value_in_any_form(keymint: Callable, provisioned: Path, form: tuple[str, ...]) -> None:
     assert keymint("status", *(each.format(provisioned) for each in form)).code == 0
