@@ -32,13 +32,11 @@ class OpenStep:
     Attributes:
         step: what it mends.
         concerns: packages or authorities.
-        flag_day: all enclaves change at one restart.
         cost: what it costs, in words.
     """
 
     step: Weakness
     concerns: tuple[str, ...]
-    flag_day: bool
     cost: str
 
 
@@ -51,7 +49,7 @@ def open_steps(session: Session) -> tuple[OpenStep, ...]:
     found = []
     if both := signing_issuers(session):
         cost = "requires restarting all robots together with the new keystore: all documents are signed again"
-        found.append(OpenStep(Weakness.AUTHORITY, both, flag_day=True, cost=cost))
+        found.append(OpenStep(Weakness.AUTHORITY, both, cost))
     if lacking := tuple(lacks(session)):
         signs = {name for name in lacking if any(each.signs for each in uses(session).get(name, ()))}
         cost = "nothing restarts: robots with the old and with the new certificate of the authority work together"
@@ -59,10 +57,10 @@ def open_steps(session: Session) -> tuple[OpenStep, ...]:
             cost = f"requires restarting all robots together, since {', '.join(sorted(signs))} signs documents"
         if signs and both:
             cost += f"; not if you do '{Weakness.AUTHORITY}' first"
-        found.append(OpenStep(Weakness.IDENTIFIERS, lacking, flag_day=bool(signs), cost=cost))
+        found.append(OpenStep(Weakness.IDENTIFIERS, lacking, cost))
     if plain := tuple(name for name in session.packages() if not _is_unique(session, name)):
         cost = "each enclave gets a new certificate and new permissions: copy it, and restart its nodes and no others"
-        found.append(OpenStep(Weakness.NAMES, plain, flag_day=False, cost=cost))
+        found.append(OpenStep(Weakness.NAMES, plain, cost))
     return tuple(found)
 
 

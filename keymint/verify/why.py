@@ -13,7 +13,7 @@ from comarmor.text import nearest_word
 from comarmor.values import dataclass
 from keymint import api
 from keymint.api.graph import Edge, Object
-from keymint.errors import ExitCode, KeymintError, Origin
+from keymint.errors import KeymintError, Origin, usage_error
 from keymint.ir import Rule
 from keymint.names import name_of, typed_permission, typed_subject
 from keymint.verify.compare import label_enclave
@@ -78,17 +78,13 @@ def request(subject: str, permission: str, name: str, kind: str, partitions: Seq
     Raises:
         KeymintError: the permission is unknown, or does not apply to such an object.
     """
-
-    def refused(code: str, message: str, help_: str) -> KeymintError:
-        return KeymintError(message, help=help_, code=code, exit_code=ExitCode.USAGE)
-
     if permission.endswith("relay"):
         message = f"{permission} is a permission of services that route data; no endpoint of a subject has it"
-        raise refused("permission-unasked", message, "ask for publish or subscribe")
+        raise usage_error(message, "ask for publish or subscribe", "permission-unasked")
     kind, permission = typed_permission(permission, name, kind, ("/",))
     if kind != RAW and partitions:
         message = f"{permission} applies to a {kind}, and only a topic has partitions"
-        raise refused("partition-unexpected", message, "leave out --partition, or ask for publish or subscribe")
+        raise usage_error(message, "leave out --partition, or ask for publish or subscribe", "partition-unexpected")
     return Edge(typed_subject(subject), permission, Object(kind, name, tuple(sorted(set(partitions)))), domain)
 
 
