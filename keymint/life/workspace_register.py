@@ -126,7 +126,7 @@ def _rights_found(session: Session) -> Iterator[SignedRights]:
 def register_change(session: Session, register: Register) -> tuple[FolderChange, ...]:
     """Return what writes a register, if it differs from the one on the disk."""
     is_same = register == register_of(session)
-    return () if is_same else (secret_file(session.workspace.register, b"", register_content(register)),)
+    return () if is_same else (secret_file(session.workspace.register, register_content(register)),)
 
 
 @lru_cache(maxsize=64)

@@ -463,7 +463,7 @@ def execute(
         store.begin(replace(intent, packages=tuple(sorted(changing))))
         store.change(guards)  # before the first secret is written
         # The record of a large fleet is made as it is written.
-        record = FolderChange(folder, {RECORD: File(b"", made=plan.state.pieces)})
+        record = FolderChange(folder, {RECORD: File(plan.state.pieces)})
         staged = _staged(plan, (*log, record), store, workers)
         visible = clock(folder)
         store.commit(staged)

@@ -83,10 +83,10 @@ def same_file(known: dict[str, File], name: str, content: bytes, *, secret: bool
     return file
 
 
-def secret_file(path: Path | str, content: bytes, made: Callable[[], Iterable[bytes]] | None = None) -> FolderChange:
-    """Return the change that writes one secret file; the arguments are as of :class:`File`."""
+def secret_file(path: Path | str, content: bytes | Callable[[], Iterable[bytes]]) -> FolderChange:
+    """Return the change that writes one secret file; its content may be made late, as that of a :class:`File`."""
     folder, _, name = str(path).rpartition("/")
-    return FolderChange(folder, {name: File(content, secret=True, made=made)}, private=True)
+    return FolderChange(folder, {name: File(content, secret=True)}, private=True)
 
 
 def by_folder(root: Path, files: Mapping[str, File]) -> dict[Path, dict[str, File]]:

@@ -56,7 +56,7 @@ class Exchange:
     file: bool = False
     replaces: bool = False
     changed: Mapping[str, str | None] = field(default_factory=dict)
-    carried: Mapping[str, int] = field(default_factory=dict)
+    carried: dict[str, int] = field(default_factory=dict)
     size: int = 0
 
 
@@ -85,10 +85,6 @@ class FolderContent:
     def size(self) -> int:
         """Return the number of files that are written here or below."""
         return len(self.files) + sum(inner.size() for inner in self.folders.values())
-
-    def writes(self) -> bool:
-        """Tell whether a file is written here or below."""
-        return bool(self.files) or any(inner.writes() for inner in self.folders.values())
 
     def removes(self) -> bool:
         """Tell whether a file is removed here or below."""
@@ -131,7 +127,7 @@ class Staging:
             try:
                 for root, tree in self._trees.items():
                     # What is only removed creates no root.
-                    if tree.writes() or os.path.lexists(root):
+                    if tree.size() or os.path.lexists(root):
                         self._inside(folders.open(root), root, tree)
                 for order, folder, change, private in self._kept:
                     if change.files or os.path.lexists(folder):
@@ -183,7 +179,7 @@ class Staging:
                 if written := inner.size():
                     place = f"{shown}/{name}"
                     with self._staging(opened, Exchange(inner.order, shown, name, temporary(), size=written)) as staged:
-                        add(opened, staged, place, inner, self._seen)
+                        self._create(opened, staged, place, inner)
                     if inner.files:  # it gets another time with its name
                         self._seen.pop(place, None)
                 continue
@@ -198,7 +194,7 @@ class Staging:
         shown = f"{around}/{name}"
         with reported(shown):
             if content.removes():
-                if not content.writes() and _is_emptied(old, content):
+                if not content.size() and _is_emptied(old, content):
                     gone = dict(content.changed())
                     self._exchanges.append(Exchange(content.order, around, name, None, replaces=True, changed=gone))
                     return
@@ -207,13 +203,12 @@ class Staging:
             if len(changing) > 1:
                 if file_writing.mount_of(old) != file_writing.mount_of(parent):
                     refuse_mount(shown)
-                carried: dict[str, int] = {}
                 exchange = Exchange(
                     content.order, around, name, temporary(),
-                    replaces=True, changed=dict(content.changed()), carried=carried, size=len(changing),
+                    replaces=True, changed=dict(content.changed()), size=len(changing),
                 )  # fmt: skip
                 with self._staging(parent, exchange) as staged:
-                    stage(old, parent, staged, shown, content, carried, self._seen)
+                    exchange.carried.update(self._replace(old, parent, staged, shown, content))
                 return
             if content.private:
                 close_to_others(old)
@@ -240,6 +235,99 @@ class Staging:
             remove(folder, staged)
             raise
         self._exchanges.append(exchange)
+
+    # -- folders that are new --------------------------------------------------------------------------------------
+
+    def _replace(self, old: int, new_parent: int, name: str, shown: str, content: FolderContent) -> dict[str, int]:
+        """Create the replacement of a folder, unless it would be empty.
+
+        Args:
+            old: the existing folder, open.
+            new_parent: the open folder in which to create the replacement.
+            name: name of the replacement.
+            shown: path of the existing folder, for messages.
+            content: its new content.
+
+        Returns:
+            The inode of each file that is carried over, by its path.
+
+        Raises:
+            KeymintError: the system refuses, a link or another kind of file is in the way, or a file system is mounted
+                inside the folder. The caller must remove what was created so far.
+        """
+        with reported(shown):
+            status = os.fstat(old)
+            if not os.access(".", os.W_OK | os.X_OK, dir_fd=old, effective_ids=True):
+                raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+            os.mkdir(name, 0o700, dir_fd=new_parent)
+            with open_at(name, new_parent) as new:
+                file_writing.give(new, (status.st_uid, status.st_gid))
+                _copy_attributes(old, new)
+                carried = self._carry(old, new, shown, content)
+                for file, changed in content.files.items():
+                    replaced = file_writing.require_regular(old, shown, file, or_link=changed.replaces_link) or status
+                    file_writing.create(new, shown, file, changed, (replaced.st_uid, replaced.st_gid))
+                there = {each.name for each in os.scandir(new) if each.is_dir()}
+                for inner, below in content.folders.items():
+                    if below.size() and inner not in there:
+                        self._create(new, inner, f"{shown}/{inner}", below)
+                if content.removes() and not list(os.scandir(new)):
+                    os.rmdir(name, dir_fd=new_parent)
+                else:
+                    mode = stat.S_IMODE(status.st_mode)
+                    os.fchmod(new, 0o700 if content.private and mode & 0o077 else mode)
+            return carried
+
+    def _carry(self, old: int, new: int, shown: str, content: FolderContent) -> dict[str, int]:
+        """Carry over the entries that do not change, and stage the subfolders; returns what :meth:`_replace` does."""
+        carried: dict[str, int] = {}
+        mount = file_writing.mount_of(old)
+        for entry in sorted(os.scandir(old), key=lambda entry: entry.name):
+            name = entry.name
+            if is_temporary(name):
+                continue
+            if entry.is_dir(follow_symlinks=False):
+                if name in content.removed:
+                    raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+                with open_at(name, old) as inner:
+                    if file_writing.mount_of(inner) != mount:
+                        refuse_mount(f"{shown}/{name}")
+                    below = content.folders.get(name, FolderContent())
+                    inside = self._replace(inner, new, name, f"{shown}/{name}", below)
+                carried |= {f"{name}/{path}": inode for path, inode in inside.items()}
+            elif name not in content.files and name not in content.removed:
+                _link(old, new, f"{shown}/{name}", name)
+                carried[name] = entry.inode()
+        return carried
+
+    def _create(self, parent: int, name: str, shown: str, content: FolderContent) -> None:
+        """Create a new folder.
+
+        The status of it and of each folder below it that has either files or folders, and no links, is noted.
+
+        Args:
+            parent: the open folder in which to create it.
+            name: its name.
+            shown: the path that it will have.
+            content: its files and folders.
+
+        Raises:
+            KeymintError: the system refuses. The caller must remove what was created so far.
+        """
+        mode = 0o700 if content.private else content.mode
+        with reported(shown):
+            os.mkdir(name, mode, dir_fd=parent)
+            new = os.open(name, FOLDER, dir_fd=parent)
+            try:
+                files = {inner: file_writing.create(new, shown, inner, file) for inner, file in content.files.items()}
+                for inner, below in content.folders.items():
+                    if below.size():
+                        self._create(new, inner, f"{shown}/{inner}", below)
+                status = new_status(file_writing.with_mode(new, mode), files, content.folders)
+                if status is not None and not (files and content.folders):
+                    self._seen[shown] = status
+            finally:
+                os.close(new)
 
 
 def _is_emptied(old: int, content: FolderContent) -> bool:
@@ -275,115 +363,6 @@ def remove(folder: int, name: str) -> None:
 def rmtree(folder: str, **how: Any) -> None:
     """Remove a folder with all in it, by :func:`shutil.rmtree`; few runs need that module."""
     import_module("shutil").rmtree(folder, **how)
-
-
-# -- the replacement of a folder ---------------------------------------------------------------------------------------
-
-
-def stage(
-    old: int,
-    new_parent: int,
-    name: str,
-    shown: str,
-    content: FolderContent,
-    carried: dict[str, int],
-    seen: dict[str, FolderStatus],
-    inside: str = "",
-) -> None:
-    """Create the replacement of a folder, unless it would be empty.
-
-    Args:
-        old: the existing folder, open.
-        new_parent: the open folder in which to create the replacement.
-        name: name of the replacement.
-        shown: path of the existing folder, for messages.
-        content: its new content.
-        carried: receives the inode of each file that is carried over, by its path.
-        seen: receives the status of new folders; see :func:`add`.
-        inside: begin of the paths in ``carried``.
-
-    Raises:
-        KeymintError: the system refuses, a link or another kind of file is in the way, or a file system is mounted
-            inside the folder. The caller must remove what was created so far.
-    """
-    with reported(shown):
-        status = os.fstat(old)
-        if not os.access(".", os.W_OK | os.X_OK, dir_fd=old, effective_ids=True):
-            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-        os.mkdir(name, 0o700, dir_fd=new_parent)
-        with open_at(name, new_parent) as new:
-            file_writing.give(new, (status.st_uid, status.st_gid))
-            _copy_attributes(old, new)
-            _carry(old, new, shown, content, carried, seen, inside)
-            for file, changed in content.files.items():
-                replaced = file_writing.require_regular(old, shown, file, or_link=changed.replaces_link) or status
-                file_writing.create(new, shown, file, changed, (replaced.st_uid, replaced.st_gid))
-            there = {each.name for each in os.scandir(new) if each.is_dir()}
-            for inner, below in content.folders.items():
-                if below.writes() and inner not in there:
-                    add(new, inner, f"{shown}/{inner}", below, seen)
-            if content.removes() and not list(os.scandir(new)):
-                os.rmdir(name, dir_fd=new_parent)
-                return
-            mode = stat.S_IMODE(status.st_mode)
-            os.fchmod(new, 0o700 if content.private and mode & 0o077 else mode)
-
-
-def _carry(
-    old: int,
-    new: int,
-    shown: str,
-    content: FolderContent,
-    carried: dict[str, int],
-    seen: dict[str, FolderStatus],
-    inside: str,
-) -> None:
-    """Carry over the entries that do not change, and stage the subfolders."""
-    mount = file_writing.mount_of(old)
-    for entry in sorted(os.scandir(old), key=lambda entry: entry.name):
-        name = entry.name
-        if is_temporary(name):
-            continue
-        if entry.is_dir(follow_symlinks=False):
-            if name in content.removed:
-                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
-            with open_at(name, old) as inner:
-                if file_writing.mount_of(inner) != mount:
-                    refuse_mount(f"{shown}/{name}")
-                below = content.folders.get(name, FolderContent())
-                stage(inner, new, name, f"{shown}/{name}", below, carried, seen, f"{inside}{name}/")
-        elif name not in content.files and name not in content.removed:
-            _link(old, new, f"{shown}/{name}", name)
-            carried[f"{inside}{name}"] = entry.inode()
-
-
-def add(parent: int, name: str, shown: str, content: FolderContent, seen: dict[str, FolderStatus]) -> None:
-    """Create a new folder.
-
-    Args:
-        parent: the open folder in which to create it.
-        name: its name.
-        shown: the path that it will have.
-        content: its files and folders.
-        seen: receives the status of it and of each folder below it that has either files or folders, and no links.
-
-    Raises:
-        KeymintError: the system refuses. The caller must remove what was created so far.
-    """
-    mode = 0o700 if content.private else content.mode
-    with reported(shown):
-        os.mkdir(name, mode, dir_fd=parent)
-        new = os.open(name, FOLDER, dir_fd=parent)
-        try:
-            files = {inner: file_writing.create(new, shown, inner, file) for inner, file in content.files.items()}
-            for inner, below in content.folders.items():
-                if below.writes():
-                    add(new, inner, f"{shown}/{inner}", below, seen)
-            status = new_status(file_writing.with_mode(new, mode), files, content.folders)
-            if status is not None and not (files and content.folders):
-                seen[shown] = status
-        finally:
-            os.close(new)
 
 
 def _link(old: int, new: int, shown: str, name: str) -> None:

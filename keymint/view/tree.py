@@ -43,31 +43,35 @@ class File:
     """A file to write.
 
     Attributes:
-        content: its bytes; of a link those of the file that it leads to.
+        given: its bytes, of a link those of the file that it leads to; or what makes them, in pieces, whenever they are
+            needed, if they would take memory until then.
         secret: its mode is 0600, else 0644.
         mode: another mode, e.g. that of the file that it replaces.
         link: the text of a symbolic link, which is written in place of the content; empty for a regular file.
         replaces_link: a symbolic link in its place is replaced; else that is refused.
-        made: makes the content, in pieces, whenever it is needed, in place of one that would take memory until then.
     """
 
-    content: bytes = field(repr=False)
+    given: bytes | Callable[[], Iterable[bytes]] = field(repr=False)
     secret: bool = False
     mode: int | None = None
     link: str = ""
     replaces_link: bool = False
-    made: Callable[[], Iterable[bytes]] | None = None
     _digest: str = field(default="", init=False, repr=False, compare=False)
 
     def pieces(self) -> Iterable[bytes]:
-        """Return the bytes that are written."""
-        return self.made() if self.made else (self.content,)
+        """Return the content in pieces."""
+        return (self.given,) if isinstance(self.given, bytes) else self.given()
+
+    @property
+    def content(self) -> bytes:
+        """The bytes that are written."""
+        return self.given if isinstance(self.given, bytes) else b"".join(self.given())
 
     @property
     def digest(self) -> str:
         """The digest of the content; see :func:`keymint.view.stamps.digest`."""
         if not self._digest:
-            object.__setattr__(self, "_digest", sys.intern(digest(b"".join(self.pieces()))))
+            object.__setattr__(self, "_digest", sys.intern(digest(self.content)))
         return self._digest
 
 
@@ -244,7 +248,7 @@ class Tree:
         if isinstance(content, str):
             raise HeldError(path)
         if isinstance(content, File):
-            return b"".join(content.pieces())
+            return content.content
         return content if planned else self._read(path)
 
     def digest(self, path: Path | str) -> str | None:

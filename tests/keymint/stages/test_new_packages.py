@@ -280,7 +280,7 @@ def test_the_proof_reads_the_files_that_will_be_written(
         files, issued, rights = fill(self, new, *others)
         if new.name == "robot28/talker":
             last.append(new.name)
-            files[file] = replace(files[file], content=ALTERED[file](files[file].content))
+            files[file] = replace(files[file], given=ALTERED[file](files[file].content))
         return files, issued, rights
 
     monkeypatch.setattr(EnclaveForm, "fill", altered)

@@ -87,7 +87,7 @@ def test_a_later_plan_changes_what_another_process_holds(tmp_path: Path) -> None
 
 
 def test_a_plan_that_is_carried_out_keeps_what_is_reported(tmp_path: Path) -> None:
-    content = File(b"", made=lambda: (b"x",))
+    content = File(lambda: (b"x",))
     whole = Plan((), State().updated("policy", {"a": Stamp("", {})}), (), (FolderChange(tmp_path, {"r": content}),))
     plan = whole.then(held(tmp_path, tmp_path / "keys", "r0")).carried_out("policy")
     assert [(str(each.folder), [*each.written]) for each in plan.changes()] == [
@@ -97,6 +97,6 @@ def test_a_plan_that_is_carried_out_keeps_what_is_reported(tmp_path: Path) -> No
 
 
 def test_content_that_is_made_late_is_that_of_the_file(tmp_path: Path) -> None:
-    file = File(b"", made=lambda: (b"a", b"", b"b"))
+    file = File(lambda: (b"a", b"", b"b"))
     assert file.digest == digest(b"ab")
     assert Tree().overlaid([(tmp_path, {"x": file})]).read(tmp_path / "x") == b"ab"
