@@ -221,13 +221,13 @@ def _refuse(self: object, name: str, _value: object = None) -> NoReturn:
     raise dataclasses.FrozenInstanceError(f"cannot change field {name!r}")
 
 
-def _state(self: Any) -> list[Any]:
-    return [getattr(self, each.name) for each in dataclasses.fields(self)]
-
-
-def _set_state(self: Any, state: list[Any]) -> None:
-    for each, value in zip(dataclasses.fields(self), state, strict=True):
-        object.__setattr__(self, each.name, value)
+def _reduce(cls: type) -> Callable[[Any], Any]:
+    """Return the method that pickles by the arguments of the constructor, which is faster than field by field."""
+    names = _given(cls)[0]
+    if len(names) > 1:
+        values = operator.attrgetter(*names)
+        return lambda self: (type(self), values(self))
+    return lambda self: (type(self), tuple([getattr(self, name) for name in names]))
 
 
 def _made_later(**makers: Callable[[Any], Any]) -> dict[str, Any]:
@@ -238,5 +238,5 @@ _ANY = {"__repr__": _repr} | _made_later(init=_first_init, dataclass_fields=_kno
 _EQUAL = _made_later(eq=partial(_comparing, operator.eq), hash=_hash)
 # Python asks the other operand for > and >=.
 _ORDERED = _made_later(lt=partial(_comparing, operator.lt), le=partial(_comparing, operator.le))
-_FROZEN = {"__setattr__": _refuse, "__delattr__": _refuse, "__getstate__": _state, "__setstate__": _set_state}
+_FROZEN = {"__setattr__": _refuse, "__delattr__": _refuse} | _made_later(reduce=_reduce)
 """What a class gets, by the options of its decorator."""

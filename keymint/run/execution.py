@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     from queue import SimpleQueue
 
 # A run in one process needs none of these.
-_encoded, _loads, _queue = lazy("keymint.run.pickling:answer_bytes"), lazy("pickle:loads"), lazy("queue:SimpleQueue")
+_dumps, _loads, _queue = lazy("pickle:dumps"), lazy("pickle:loads"), lazy("queue:SimpleQueue")
 
 MIN_PACKAGES = 64
 """Packages from which on processes are worth their start."""
@@ -239,13 +239,13 @@ class PackedChanges:
             self._secrets.append(secret)
             others = {name: file for name, file in each.files.items() if name not in secret}
             public.append(replace(each, files=others) if secret else each)
-        self._packed = zlib.compress(_encoded(public), 1)
+        self._packed = zlib.compress(_dumps(public), 1)
         self._digest = digest(self._packed)
 
     def __iter__(self) -> Iterator[FolderChange]:
         if digest(self._packed) != self._digest:
             raise ValueError("what was planned is damaged in memory")
-        (public,) = _loads(zlib.decompress(self._packed))
+        public = _loads(zlib.decompress(self._packed))
         for each, secret in zip(public, self._secrets, strict=True):
             yield replace(each, files={**each.files, **secret}) if secret else each
 
@@ -289,7 +289,7 @@ def _work(pipe: Connection, inherited: Sequence[Connection], task: _Task) -> Non
     gc.freeze()  # a search for cycles among the parent's objects would copy their pages
     for each in inherited:  # otherwise this process would not see that the parent ended
         each.close()
-    answers: SimpleQueue[memoryview | None] = _queue()
+    answers: SimpleQueue[bytes | None] = _queue()
 
     def deliver() -> None:
         with contextlib.suppress(OSError):  # the parent ended
@@ -297,7 +297,7 @@ def _work(pipe: Connection, inherited: Sequence[Connection], task: _Task) -> Non
                 pipe.send_bytes(answer)
 
     def send(*answer: object) -> None:
-        answers.put(_encoded(*answer))
+        answers.put(_dumps(answer))
 
     # A pipe takes little before the parent reads, which plans a part itself: this process must not wait for that.
     sender = threading.Thread(target=deliver, daemon=True)
@@ -321,7 +321,7 @@ def _work(pipe: Connection, inherited: Sequence[Connection], task: _Task) -> Non
     sender.join()
 
 
-def _planned_in_parts(send: Callable[[memoryview], object], task: _Task) -> _Changes:
+def _planned_in_parts(send: Callable[[bytes], object], task: _Task) -> _Changes:
     """Plan packages part by part, send the plans of all of them stage by stage, and return the changes of each stage.
 
     Plans that must wait for those of other parts are kept as they are sent, which takes less memory.
@@ -332,7 +332,7 @@ def _planned_in_parts(send: Callable[[memoryview], object], task: _Task) -> _Cha
     session, names, stages, new = task
     number_of_parts = max(1, round(len(names) / MOST_PACKAGES))
     parts = _parts(names, [1 / number_of_parts] * number_of_parts)
-    answers: list[list[memoryview]] = [[] for _ in stages]
+    answers: list[list[bytes]] = [[] for _ in stages]
     changes: list[list[Iterable[FolderChange]]] = [[] for _ in stages]
     refused: KeymintError | None = None
     for part in parts:
@@ -347,7 +347,7 @@ def _planned_in_parts(send: Callable[[memoryview], object], task: _Task) -> _Cha
                 refused = None
             else:
                 plans = [_row(each) if isinstance(each, PackagePlan) else each for each in found]
-                of_stage.append(_encoded(_DONE if is_last else _PART, plans))
+                of_stage.append(_dumps((_DONE if is_last else _PART, plans)))
                 changes[number].append(PackedChanges(changed) if len(parts) > 1 else changed)
                 while is_last and of_stage:
                     send(of_stage.pop(0))

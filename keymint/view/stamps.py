@@ -89,6 +89,10 @@ class Stamp:
             object.__setattr__(self, "_row", _row(self))
         return cast("StampRow", self._row)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return what another process makes of it: the stamp as it is written."""
+        return tuple, (self.row,)
+
 
 class _Form(NamedTuple):
     """What the stamps of many packages have in common.

@@ -86,6 +86,9 @@ def classes(dataclass: Any) -> dict[str, Any]:
 
         __hash__ = Frozen.__hash__
 
+        def __reduce__(self) -> tuple[Any, ...]:
+            return type(self), (self.one,)
+
     return {each.__name__: each for each in (Frozen, Ordered, Below, Changing, Same, Own, Open, Single, Empty, Calling)}
 
 
