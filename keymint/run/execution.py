@@ -73,8 +73,6 @@ _PART, _DONE, _REFUSED, _CRASHED = "part", "done", "refused", "crashed"
 _Stages = Sequence[Callable[[Session], PackageStage]]
 _Task = tuple[Session, Sequence[str], _Stages, NewPackages | None]
 """The workspace, the packages to plan, what makes each stage, and the packages that are new, if some may be."""
-_Send = Callable[..., object]
-"""Sends an answer, which begins with its kind."""
 _OTHERS = attrgetter(*(each.name for each in fields(PackagePlan) if each.name not in {"name", "step", "stamp"}))
 _Changes = Sequence[Sequence[Iterable[FolderChange]]]
 """The changes of each stage, in parts."""
@@ -128,13 +126,10 @@ class Workers(Crew):
             there.close()
             self._processes.append(process)
             self._pipes.append(here)
-        self._sources = [lambda: self._own.pop(0), *(partial(_received, pipe) for pipe in self._pipes)]
-        with _refusing(self._answer):
+        self._sources = [partial(self._own.pop, 0), *(pipe.recv for pipe in self._pipes)]
+        with _refusing(self._own.append):
             for planned, _ in _plan((session, parts[0], stages, self.new)):
-                self._answer(_DONE, planned)
-
-    def _answer(self, *answer: object) -> None:
-        self._own.append(answer)
+                self._own.append((_DONE, planned))
 
     def planned(self, stage: PackageStage, names: Sequence[str]) -> list[Any]:
         """See :meth:`keymint.stages.work.Crew.planned`."""
@@ -159,8 +154,8 @@ class Workers(Crew):
                 pipe.send(None)
         by_process: list[list[Sequence[Exchange]]] = []
         errors: list[KeymintError] = []
-        with _refusing(self._answer):
-            self._answer(_DONE, [store.stage(changes)])
+        with _refusing(self._own.append):
+            self._own.append((_DONE, [store.stage(changes)]))
         for source in self._sources:
             try:
                 by_process += _answers(source)
@@ -235,10 +230,8 @@ class PackedChanges:
         self._secrets: list[dict[str, File]] = []
         public: list[FolderChange] = []
         for each in changes:
-            secret = {name: file for name, file in each.files.items() if file.secret}
-            self._secrets.append(secret)
-            others = {name: file for name, file in each.files.items() if name not in secret}
-            public.append(replace(each, files=others) if secret else each)
+            self._secrets.append({name: file for name, file in each.files.items() if file.secret})
+            public.append(replace(each, files={name: file for name, file in each.files.items() if not file.secret}))
         self._packed = zlib.compress(_dumps(public), 1)
         self._digest = digest(self._packed)
 
@@ -247,20 +240,16 @@ class PackedChanges:
             raise ValueError("what was planned is damaged in memory")
         public = _loads(zlib.decompress(self._packed))
         for each, secret in zip(public, self._secrets, strict=True):
-            yield replace(each, files={**each.files, **secret}) if secret else each
+            yield replace(each, files={**each.files, **secret})
 
 
 @contextlib.contextmanager
-def _refusing(send: _Send) -> Iterator[None]:
+def _refusing(send: Callable[[tuple[Any, ...]], object]) -> Iterator[None]:
     """Answer that a process cannot do its part, if so."""
     try:
         yield
     except KeymintError as error:
-        send(_REFUSED, error.diagnostics, error.exit_code)
-
-
-def _received(pipe: Connection) -> Any:
-    return _loads(pipe.recv_bytes())
+        send((_REFUSED, error.diagnostics, error.exit_code))
 
 
 def _answers(receive: Callable[[], Any]) -> Iterator[list[Any]]:
@@ -296,7 +285,7 @@ def _work(pipe: Connection, inherited: Sequence[Connection], task: _Task) -> Non
             for answer in iter(answers.get, None):
                 pipe.send_bytes(answer)
 
-    def send(*answer: object) -> None:
+    def send(answer: tuple[Any, ...]) -> None:
         answers.put(_dumps(answer))
 
     # A pipe takes little before the parent reads, which plans a part itself: this process must not wait for that.
@@ -308,15 +297,15 @@ def _work(pipe: Connection, inherited: Sequence[Connection], task: _Task) -> Non
                 changes = _planned_in_parts(answers.put, task)
                 pipe.recv()
                 store = open_store(task[0].workspace)
-                send(_DONE, [[each for part in of_stage for each in store.stage(part)] for of_stage in changes])
+                send((_DONE, [[each for part in of_stage for each in store.stage(part)] for of_stage in changes]))
                 seen = [*store.seen.items()]
                 for at in range(0, len(seen), MOST_PACKAGES):
-                    send(_PART, seen[at : at + MOST_PACKAGES])
-                send(_DONE, ())
+                    send((_PART, seen[at : at + MOST_PACKAGES]))
+                send((_DONE, ()))
         except Exception as error:  # noqa: BLE001 - the parent reports it
             import traceback  # noqa: PLC0415 - few runs need it
 
-            send(_CRASHED, f"{type(error).__name__}: {error}", traceback.format_exc())
+            send((_CRASHED, f"{type(error).__name__}: {error}", traceback.format_exc()))
     answers.put(None)
     sender.join()
 
@@ -458,6 +447,7 @@ def execute(
         KeymintError: the system refuses a write; no file is incomplete, and the next run finishes it, or drops it.
     """
     folder = inputs.workspace.state
+    staged: Sequence[Exchange] = ()
     if guards or plan.writes() or plan.state != inputs.state:
         changing = {step.package for step in plan.steps if step.package and step.writes()}
         store.begin(replace(intent, packages=tuple(sorted(changing))))
@@ -465,10 +455,8 @@ def execute(
         # The record of a large fleet is made as it is written.
         record = FolderChange(folder, {RECORD: File(plan.state.pieces)})
         staged = _staged(plan, (*log, record), store, workers)
-        visible = clock(folder)
-        store.commit(staged)
-    else:
-        visible = clock(folder)
+    visible = clock(folder)
+    store.commit(staged)
     for step in plan.steps:
         on_step(step)
     return visible

@@ -107,9 +107,6 @@ class DocumentSize:
     plain_bytes: int
 
 
-_NO_FILES: Mapping[str, File] = {}
-
-
 class HeldChanges(HeldPackage):
     """The changes of a package that another process holds; they are made as they are asked for."""
 
@@ -125,7 +122,7 @@ class HeldChanges(HeldPackage):
 
     def __iter__(self) -> Iterator[FolderChange]:
         for around, names, private in self.places:
-            yield FolderChange(f"{around}{self.name}", _NO_FILES, (), private, dict.fromkeys(names, ""))
+            yield FolderChange(f"{around}{self.name}", {}, (), private, dict.fromkeys(names, ""))
 
     def __len__(self) -> int:
         return len(self.places)

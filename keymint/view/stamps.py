@@ -179,11 +179,9 @@ class Stamps(Mapping[str, Stamp]):
     @classmethod
     def of(cls, stamps: Mapping[str, Stamp] | Mapping[str, Stamp | StampRow]) -> Stamps:
         """Return the mapping with the same stamps."""
-        return (
-            stamps
-            if isinstance(stamps, Stamps)
-            else cls({name: stamp if isinstance(stamp, tuple) else stamp.row for name, stamp in stamps.items()})
-        )
+        if isinstance(stamps, Stamps):
+            return stamps
+        return cls({name: stamp if isinstance(stamp, tuple) else stamp.row for name, stamp in stamps.items()})
 
     def __getitem__(self, name: str) -> Stamp:
         if self._last is None or self._last[0] != name:
