@@ -21,7 +21,7 @@ _FOLDER = "_keymint_keystore"
 
 @dataclass(frozen=True, slots=True)
 class Shell:
-    """The syntax of a shell.
+    """The syntax of a shell; by default that of POSIX.
 
     Attributes:
         own_folder: lines that set a variable to the folder of the script; it is absolute, and links are resolved.
@@ -31,9 +31,9 @@ class Shell:
     """
 
     own_folder: str
-    export: str
-    forget: str
-    escapes: Mapping[str, str]
+    export: str = "export {name}={value}"
+    forget: str = f"unset {_FOLDER}\n"
+    escapes: Mapping[str, str] = MappingProxyType({"'": "'\\''"})
 
     def quoted(self, text: str) -> str:
         """Return a text as one word of this shell, which stands for nothing but itself."""
@@ -42,22 +42,13 @@ class Shell:
         return f"'{''.join(self.escapes.get(character, character) for character in text)}'"
 
 
-_POSIX_EXPORT = "export {name}={value}"
-_POSIX_ESCAPES = MappingProxyType({"'": "'\\''"})
 SHELLS: Mapping[str, Shell] = MappingProxyType(
     {
         "bash": Shell(
-            f'{_FOLDER}="$(readlink -f -- "${{BASH_SOURCE[0]}}")" || return 1\n{_FOLDER}="${{{_FOLDER}%/*}}"\n',
-            _POSIX_EXPORT,
-            f"unset {_FOLDER}\n",
-            _POSIX_ESCAPES,
+            f'{_FOLDER}="$(readlink -f -- "${{BASH_SOURCE[0]}}")" || return 1\n{_FOLDER}="${{{_FOLDER}%/*}}"\n'
         ),
-        "zsh": Shell(  # %x would show control characters in place of them
-            f'{_FOLDER}="${{${{${{funcsourcetrace[@]:0:1}}%:*}}:A:h}}"\n',
-            _POSIX_EXPORT,
-            f"unset {_FOLDER}\n",
-            _POSIX_ESCAPES,
-        ),
+        # %x would show control characters in place of them.
+        "zsh": Shell(f'{_FOLDER}="${{${{${{funcsourcetrace[@]:0:1}}%:*}}:A:h}}"\n'),
         "fish": Shell(
             f"set -l {_FOLDER} (realpath -- (status filename | string collect) | string collect)\n"
             f"set {_FOLDER} (dirname -- ${_FOLDER} | string collect)\n",

@@ -86,8 +86,8 @@ def _wide(profiles: Sequence[WrittenProfile], clauses: Iterable[WrittenRule]) ->
         except StepLimitError as limit:
             yield _undecided_note(
                 f"the subjects that profile {each.name!r} gets by {text!r} are unknown: {limit}",
-                each.where,
                 "attach it to fewer subjects, or lint parts of the policy",
+                each.where,
             )
             continue
         if gaining:

@@ -14,7 +14,7 @@ from keymint.errors import Diagnostic, Origin, Spot
 from keymint.ir import Rule
 
 
-def undecided_note(message: str, where: Origin | None, help_: str) -> Diagnostic:
+def undecided_note(message: str, help_: str, where: Origin | None = None) -> Diagnostic:
     """Return a note that a check ended at its limit of steps."""
     return Diagnostic.note("lint-unknown", message, where, help_)
 

@@ -51,7 +51,6 @@ def lint(policy: LoadedPolicy) -> list[Diagnostic]:
     findings += [
         undecided_note(
             f"not every rule was checked for every subject: {reason}",
-            None,
             "findings may not hold for some subjects, and some may be missing; lint parts of the policy",
         )
         for reason in given_up
@@ -143,7 +142,6 @@ def portability(
         if spent > STEPS:
             yield undecided_note(
                 f"{subject} and the subjects after it were not compiled: {STEPS:,} steps were spent on those before it",
-                None,
                 "'keymint build' compiles each of them; or lint parts of the policy",
             )
             return

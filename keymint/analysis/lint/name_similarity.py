@@ -138,7 +138,6 @@ def _unknown(given_up: Sequence[str]) -> Iterator[Diagnostic]:
         others = f" and {len(given_up) - 1:,} others" if len(given_up) > 1 else ""
         yield undecided_note(
             f"names similar to {given_up[0]!r}{others} are unknown: too many to compare within {STEPS:,} steps",
-            None,
             "check these names yourself, or lint parts of the policy",
         )
 

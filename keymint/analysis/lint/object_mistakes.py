@@ -129,7 +129,7 @@ def _uncalled(policy: LoadedPolicy, allowed: Sequence[_Expression], others: Iter
             asked += 1
             if asked > MOST_QUESTIONS:
                 message = f"nobody asked whether anyone may {call} {name!r} and others that several subjects serve"
-                yield undecided_note(message, places[next(iter(places))], "lint parts of the policy")
+                yield undecided_note(message, "lint parts of the policy", places[next(iter(places))])
                 return
             if any(True for _ in who_can(policy, _EVERYBODY, kind, call, parse(name))):
                 continue

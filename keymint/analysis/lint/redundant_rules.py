@@ -181,8 +181,8 @@ class RedundantRules:
             yield undecided_note(
                 f"whether {text!r} in this {rule.effect} {rule.kind} rule{more} is redundant is unknown: "
                 "it overlaps with others in too many ways",
-                where,
                 "use fewer expressions with wildcards for one subject, or lint parts of the policy",
+                where,
             )
 
     def _code_or_unknown(self, expression: _RuleExpression) -> str:
