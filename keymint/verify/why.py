@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache, partial
 
 from comarmor.patterns import glob
@@ -21,7 +21,7 @@ from keymint.verify.copies import enclave_copies
 from keymint.verify.endpoint_policy import RAW, EndpointPolicy
 from keymint.verify.mismatch import Mismatch
 from keymint.verify.scope import has_name, naming_of
-from keymint.verify.transports import Explainer
+from keymint.verify.transports import Explainer, models
 from keymint.workspace.installed_enclaves import enclave_names
 from keymint.workspace.session import Session
 from keymint.workspace.workspace import packages
@@ -104,13 +104,12 @@ def source_package(session: Session, subject: str) -> api.Package | None:
     return package
 
 
+_Transports = Mapping[str, Mapping[str, api.Transport]]
+"""Transports by build type and name."""
+
+
 def explain(
-    session: Session,
-    policy: api.LoadedPolicy,
-    package: api.Package | None,
-    edge: Edge,
-    transports: Mapping[str, Mapping[str, api.Transport]],
-    find_models: Callable[[str], Mapping[str, api.Transport]],
+    session: Session, policy: api.LoadedPolicy, package: api.Package | None, edge: Edge, transports: _Transports
 ) -> Explanation:
     """Ask every layer of a workspace for one request.
 
@@ -119,8 +118,7 @@ def explain(
         policy: its policy.
         package: the source package of the subject, if it has one.
         edge: the request.
-        transports: transports to ask, by build type and name, each usable at the tier ``decision``.
-        find_models: returns transports of a build type that name the rule that decides.
+        transports: transports to ask, each usable at the tier ``decision``.
 
     Raises:
         KeymintError: a transport does not work.
@@ -146,7 +144,7 @@ def explain(
         packaged=package is not None,
         needs=[need for view in views.values() for need in view.needs],
         installed=is_installed,
-        labels=_labels(session, package, edge, views, asked, find_models) if is_installed else {},
+        labels=_labels(session, package, edge, views, asked) if is_installed else {},
         unasked={name: tuple(group) for name, group in transports.items() if name not in views},
     )
 
@@ -183,12 +181,7 @@ def _views(session: Session, policy: api.LoadedPolicy, package: api.Package | No
 
 
 def _labels(
-    session: Session,
-    package: api.Package | None,
-    edge: Edge,
-    views: Mapping[str, _View],
-    asked: Mapping[str, Mapping[str, api.Transport]],
-    find_models: Callable[[str], Mapping[str, api.Transport]],
+    session: Session, package: api.Package | None, edge: Edge, views: Mapping[str, _View], asked: _Transports
 ) -> Mapping[str, Mismatch]:
     """Return the decisions of transports on copies of the enclave."""
     install, name = session.workspace.install, name_of(edge.subject)
@@ -202,7 +195,8 @@ def _labels(
     with enclave_copies(session.tree, install, enclaves, transports, folders.values(), infrastructure) as copies:
         (copy,) = copies.enclaves.values()
         for build_type, group in asked.items():
-            explainer = Explainer(views[build_type].policy, group, cache(partial(find_models, build_type)), copies)
+            find_models = cache(partial(models, session.plugins, build_type, distro=session.profile.distro))
+            explainer = Explainer(views[build_type].policy, group, find_models, copies)
             for each, transport in group.items():
                 verdicts = list(label_enclave(transport, copy, [edge], api.Tier.DECISION))
                 (labels[each],) = explainer(each, copy, verdicts)

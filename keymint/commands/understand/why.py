@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import click
@@ -19,7 +18,7 @@ from keymint.output.json import Typed, decision_json, edge_json, place_json, ver
 from keymint.output.mismatches import document_reason, enumeration, mismatch_finding, request_text, rule_text, verb_of
 from keymint.output.report import members
 from keymint.stages.proof.trust_anchors import differences
-from keymint.verify.transports import choose, models
+from keymint.verify.transports import choose
 from keymint.verify.why import Explanation, MatchedRule, explain, request, source_package
 from keymint.workspace.policy_loading import load_policy
 
@@ -54,10 +53,9 @@ def why(
     if domain is None:
         domain = granted[0].first if granted else 0
     edge = request(subject, permission, object_name, kind or "", partitions, domain)
-    build_types, distro = package.build_types if package else session.profile.build_types, session.profile.distro
-    transports = choose(run.plugins, chosen, Tier.DECISION, build_types, distro)
-    explain_by = partial(models, run.plugins, distro=distro)
-    explanation = explain(session, load_policy(session), package, edge, transports, explain_by)
+    build_types = package.build_types if package else session.profile.build_types
+    transports = choose(run.plugins, chosen, Tier.DECISION, build_types, session.profile.distro)
+    explanation = explain(session, load_policy(session), package, edge, transports)
 
     run.console.lines(_lines(explanation, run))
     asked = (name_of(explanation.edge.subject),) if explanation.installed and explanation.packaged else ()
