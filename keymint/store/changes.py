@@ -40,7 +40,7 @@ class FolderChange:
         files: files by name; written in this order, so that a reader meets the least harm in between.
         removed: names of files to remove.
         private: the folder and the ones created on the way to it are 0700 even when no file is secret.
-        held: the digests of files by name whose content another process holds and will write; empty if not known here.
+        held: in place of files, the digests of those that another process will write, by name; empty if not known.
     """
 
     folder: Path | str
@@ -52,7 +52,7 @@ class FolderChange:
     @property
     def written(self) -> Mapping[str, File | str]:
         """The files that are written, by whichever process, by name."""
-        return {**self.files, **self.held} if self.files and self.held else self.files or self.held
+        return self.files or self.held
 
 
 def folder_changes(tree: Tree, folder: Path, files: Mapping[str, File | bytes]) -> tuple[FolderChange, ...]:
@@ -68,18 +68,17 @@ def folder_changes(tree: Tree, folder: Path, files: Mapping[str, File | bytes]) 
     return tuple(FolderChange(inner, own) for inner, own in by_folder(folder, different).items())
 
 
-def same_file(known: dict[str, File], name: str, content: bytes, *, secret: bool = False) -> File:
+def same_file(known: dict[str, File], name: str, content: bytes) -> File:
     """Return a file that may replace a link: the former one of a name if it has the same content, and so the digest.
 
     Args:
         known: the former file of each name.
         name: its name.
         content: its content.
-        secret: its mode is 0600.
     """
     file = known.get(name)
-    if file is None or file.content is not content or file.secret != secret:
-        file = known[name] = File(content, secret=secret, replaces_link=True)
+    if file is None or file.content is not content:
+        file = known[name] = File(content, replaces_link=True)
     return file
 
 
@@ -111,10 +110,6 @@ class HeldChanges(HeldPackage):
     """The changes of a package that another process holds; they are made as they are asked for."""
 
     __slots__ = ()
-
-    def without_digests(self) -> HeldChanges:
-        """Return the changes without what only a stage asks for."""
-        return HeldChanges(self.name, self.places, NO_STAMP)
 
     def folders(self) -> list[str]:
         """Return the folder of each change."""
@@ -219,10 +214,10 @@ class Plan:
             stages: of these the record stays.
         """
         first = (FolderChange(each.folder, held=dict.fromkeys(each.files, "")) for each in self.first)
-        steps = (
-            replace(step, changes=step.changes.without_digests()) if isinstance(step.changes, HeldChanges) else step
-            for step in self.steps
-        )
+        steps = list(self.steps)
+        for at, step in enumerate(steps):
+            if isinstance(held := step.changes, HeldChanges):  # only a stage asks for digests
+                steps[at] = replace(step, changes=HeldChanges(held.name, held.places, NO_STAMP))
         state = State({name: self.state.stamps.get(name, {}) for name in stages})
         return replace(self, steps=tuple(steps), state=state, first=tuple(first))
 

@@ -302,9 +302,9 @@ class Store:
         """Write and remove files; see :meth:`stage` and :meth:`commit`."""
         commit(self._roots, self.stage(changes))
 
-    def write(self, folder: Path, files: Mapping[str, File], *, private: bool = False) -> None:
+    def write(self, folder: Path, files: Mapping[str, File]) -> None:
         """Write files into a folder, all in one step; see :meth:`change`."""
-        self.change([FolderChange(folder, files, (), private)])
+        self.change([FolderChange(folder, files)])
 
 
 def _temporary_paths(roots: Iterable[str]) -> Iterator[str]:

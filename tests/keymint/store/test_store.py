@@ -83,7 +83,7 @@ def test_modes_do_not_depend_on_the_umask(root: Path, store: Store, mask: int) -
         store.write(root / "install" / "plain" / "deep", {"file": PUBLIC})
         store.write(root / "private" / "x" / "y", {"key.pem": SECRET})
         store.write(root / "private" / "z", {"file": PUBLIC})
-        store.write(root / "src" / "p", {"file": PUBLIC}, private=True)
+        store.change([FolderChange(root / "src" / "p", {"file": PUBLIC}, private=True)])
     assert listing(root) == {
         "install": "0755",
         "install/a": "0755",
