@@ -88,11 +88,11 @@ class EdgeLine:
 class Panel:
     """The layout of one graph, from (0, 0); in a matrix a line is a point, where the sign of its edge is."""
 
-    heading: str
     boxes: tuple[NodeBox, ...]
     lines: tuple[EdgeLine, ...]
     width: float
     height: float
+    heading: str = ""
 
 
 def objects_in_order(edges: Iterable[LabelledEdge]) -> list[DomainObject]:
@@ -101,11 +101,7 @@ def objects_in_order(edges: Iterable[LabelledEdge]) -> list[DomainObject]:
 
 
 def lay_out(
-    heading: str,
-    edges: Sequence[LabelledEdge],
-    subjects: Sequence[str],
-    names: Mapping[NodeKey, str],
-    marks: Mapping[NodeKey, str],
+    edges: Sequence[LabelledEdge], subjects: Sequence[str], names: Mapping[NodeKey, str], marks: Mapping[NodeKey, str]
 ) -> Panel:
     """Return the layout of a graph.
 
@@ -113,7 +109,6 @@ def lay_out(
     them share, to the left, and all other objects, to the right.
 
     Args:
-        heading: heading of the panel; may be empty.
         edges: its edges.
         subjects: its subjects, including those without an edge.
         names: of its subjects and objects.
@@ -153,7 +148,7 @@ def lay_out(
             boxes[key] = NodeBox(key, kind, labels[key], x, tops[key], width, heights[key], marks.get(key, ""))
         x += width + gap
     height = max((box.y + box.height for box in boxes.values()), default=0.0)
-    return Panel(heading, tuple(boxes.values()), _lines(edges, boxes, sides), max(0.0, x - gap), height)
+    return Panel(tuple(boxes.values()), _lines(edges, boxes, sides), max(0.0, x - gap), height)
 
 
 def _rank(key: DomainObject) -> tuple[object, ...]:

@@ -23,11 +23,7 @@ MOST_COLUMNS = 30
 
 
 def lay_out_matrix(
-    heading: str,
-    edges: Sequence[LabelledEdge],
-    subjects: Sequence[str],
-    names: Mapping[NodeKey, str],
-    marks: Mapping[NodeKey, str],
+    edges: Sequence[LabelledEdge], subjects: Sequence[str], names: Mapping[NodeKey, str], marks: Mapping[NodeKey, str]
 ) -> Panel:
     """Return the layout of a matrix; for the arguments see :func:`keymint.drawing.layout.lay_out`."""
     objects = objects_in_order(edges)
@@ -51,4 +47,4 @@ def lay_out_matrix(
         places = (x + (at - (len(those) - 1) / 2) * SIGN for at in range(len(those)))
         lines += (EdgeLine(one, place, y, place, y) for one, place in zip(those, places, strict=True))
     size = left + len(subjects) * width, top + len(objects) * ROW
-    return Panel(heading, tuple(boxes.values()), tuple(lines), *size)
+    return Panel(tuple(boxes.values()), tuple(lines), *size)

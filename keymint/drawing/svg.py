@@ -13,6 +13,7 @@ from itertools import chain
 from typing import TYPE_CHECKING
 
 from comarmor.text import one_line
+from comarmor.values import replace
 from keymint.api.graph import EdgeOutcome
 from keymint.drawing.appearance import (
     DARK,
@@ -123,7 +124,7 @@ def draw(drawn: SimplifiedGraph, number: NodeNumber | None = None) -> str:
     labelled, options = drawn.labelled, drawn.options
     names, marks = names_of(drawn), marks_of(drawn)
     lay = lay_out_matrix if drawn.matrices else lay_out
-    panels = [lay(*part, names, marks) for part in _parts(drawn)]
+    panels = [replace(lay(edges, subjects, names, marks), heading=title) for title, edges, subjects in _parts(drawn)]
     width = max((_LEAST_WIDTH, *(panel.width for panel in panels)))
     widths = [max(panel.width, columns(panel.heading) * CHARACTER * 13 / 12) for panel in panels]
     headings = [LINE if panel.heading else 0.0 for panel in panels]

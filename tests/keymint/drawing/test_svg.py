@@ -235,7 +235,7 @@ def test_a_matrix_says_whom_each_sign_concerns() -> None:
 
 @given(graphs())
 def test_every_edge_of_a_matrix_has_a_place_of_its_own(graph: LabelledGraph) -> None:
-    panel = lay_out_matrix("", graph.edges, graph.subjects, names(graph.edges, graph.subjects), {})
+    panel = lay_out_matrix(graph.edges, graph.subjects, names(graph.edges, graph.subjects), {})
     places = {(sign.x1, sign.y1) for sign in panel.lines}
     assert len(places) == len(panel.lines) == len(graph.edges)
     boxes = {box.key: box for box in panel.boxes}
