@@ -98,5 +98,5 @@ def test_a_plan_that_is_carried_out_keeps_what_is_reported(tmp_path: Path) -> No
 
 def test_content_that_is_made_late_is_that_of_the_file(tmp_path: Path) -> None:
     file = File(lambda: (b"a", b"", b"b"))
-    assert file.digest == digest(b"ab")
+    assert (file.content, file.digest) == (b"ab", digest(b"ab"))
     assert Tree().overlaid([(tmp_path, {"x": file})]).read(tmp_path / "x") == b"ab"
