@@ -90,43 +90,37 @@ def _shortest_difference(
         BudgetError: neither engine decided within the budget.
     """
     derivatives = cache(lambda: Derivatives(_patterns((a, *b)), universe))
+
+    def search_cubes(budget: SearchBudget) -> str | None:
+        count_state = budget.state_counter()
+
+        def search(permitting: Sequence[DecisionList], denying: DecisionList, best: str | None) -> str | None:
+            limit = None if best is None else len(best)
+            return CounterexampleSearch(permitting, denying, universe, derivatives, count_state).shortest(limit)
+
+        best: str | None = None
+        for each in b:
+            word = search((a,), each, best)
+            best = best if word is None else word
+        word = search(b[:1], a, best)
+        if word is not None and not all(permits(each, word) for each in b[1:]):
+            word = search(b, a, best)
+        return best if word is None else word
+
     states = FIRST_STATES + STATES_PER_PATTERN * sum(1 for _ in _patterns((a, *b)))
     while states < budget.states and budget.go_on():
         with suppress(BudgetError):
-            return _search_cubes(a, b, universe, derivatives, replace(budget, states=states))
+            return search_cubes(replace(budget, states=states))
         with suppress(BudgetError):
             product_budget = replace(budget, states=max(1, states // PRODUCT_COST))
             return ProductSearch(b, a, universe, derivatives(), product_budget.state_counter()).shortest()
         states *= GROWTH
     try:
-        return _search_cubes(a, b, universe, derivatives, budget)
+        return search_cubes(budget)
     except BudgetError as error:
         with suppress(BudgetError):
             return ProductSearch(b, a, universe, derivatives(), budget.state_counter()).shortest()
         raise error from None
-
-
-def _search_cubes(
-    a: DecisionList,
-    b: Sequence[DecisionList],
-    universe: Universe,
-    derivatives: Callable[[], Derivatives],
-    budget: SearchBudget,
-) -> str | None:
-    count_state = budget.state_counter()
-
-    def search(permitting: Sequence[DecisionList], denying: DecisionList, best: str | None) -> str | None:
-        limit = None if best is None else len(best)
-        return CounterexampleSearch(permitting, denying, universe, derivatives, count_state).shortest(limit)
-
-    best: str | None = None
-    for each in b:
-        word = search((a,), each, best)
-        best = best if word is None else word
-    word = search(b[:1], a, best)
-    if word is not None and not all(permits(each, word) for each in b[1:]):
-        word = search(b, a, best)
-    return best if word is None else word
 
 
 def _patterns(lists: Sequence[DecisionList]) -> Iterator[Glob]:
