@@ -65,7 +65,7 @@ MOST_PACKAGES = 512
 """About how many packages a process has in full."""
 MOST_OWN = 2_000
 """Packages up to which the parent plans some itself; what it keeps of many takes the memory for that."""
-COMMON_WORK = 0.15
+COMMON_WORK = 0.05
 """What the parent does for all packages while they are planned, compared with planning them."""
 
 _PART, _DONE, _REFUSED, _CRASHED = "part", "done", "refused", "crashed"

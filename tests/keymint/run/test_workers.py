@@ -189,7 +189,7 @@ def test_a_process_that_is_ended_between_planning_and_staging(keymint: Keymint, 
 
 
 @pytest.mark.parametrize(
-    ("stage", "name"), [("create", "robot17/talker"), ("install", "robot3/talker"), ("prove", "robot9/talker")]
+    ("stage", "name"), [("create", "robot8/talker"), ("install", "robot3/talker"), ("prove", "robot9/talker")]
 )
 def test_a_process_that_is_ended(keymint: Keymint, tmp_path: Path, stage: str, name: str) -> None:
     source = policy(tmp_path / "policy.xml")
@@ -271,7 +271,7 @@ def test_no_private_key_leaves_its_process(tmp_path: Path) -> None:
     done = run(tmp_path, "provision", source, "-w", "ws", "-j", 2, program=SPY, SPY=str(seen))
     assert done.code == 0, done.err
     sent = b"".join(path.read_bytes() for path in seen.iterdir())
-    assert b"robot17/talker" in sent
+    assert b"robot8/talker" in sent
     keys = list((tmp_path / "ws/private").rglob("*.pem"))
     assert len(keys) == FEW + 2
     for path in keys:
