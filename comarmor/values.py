@@ -105,8 +105,9 @@ def _noted() -> list[tuple[str, Any]]:
     """Return what the library notes about the field of a class that nothing says, by slot."""
     # Without a text about the class the library makes one, which takes long.
     made = type("Made", (), {"__doc__": "made", "__annotations__": {"field": "int"}})
-    noted, bare = dataclasses.fields(dataclasses.dataclass(init=False, repr=False, eq=False)(made))[0], field()
-    return [(slot, getattr(noted, slot)) for slot in Field.__slots__ if getattr(bare, slot) is None]
+    full, bare = dataclasses.fields(dataclasses.dataclass(init=False, repr=False, eq=False)(made))[0], field()
+    # What is None in both, such as a hash, a field may say.
+    return [(slot, value) for slot in Field.__slots__ if getattr(bare, slot) is None and (value := getattr(full, slot))]
 
 
 def _given(cls: type) -> tuple[list[str], dict[str, Any], dict[str, Callable[[], Any]]]:

@@ -264,7 +264,7 @@ def missing_gitignores(workspace: Workspace, plan: Plan) -> Sequence[FolderChang
         if not os.path.lexists(space / GITIGNORE)
         and (
             space in kept
-            or any(f"{folder}/".startswith(f"{space}/") for folder in plan.folders())
-            or (space == workspace.state and plan.writes())  # it has the record of what is written
+            or any(f"{each.folder}/".startswith(f"{space}/") for each in plan.changes() if each.written)
+            or (space == workspace.state and any(each.written for each in plan.changes()))  # it has the record of that
         )
     ]

@@ -150,3 +150,13 @@ def test_no_two_share_a_default() -> None:
     first, second = OURS["Frozen"](1), OURS["Frozen"](1)
     first.three.append(1)
     assert second.three == []
+
+
+def test_a_field_keeps_what_it_says_about_hashes() -> None:
+    @values.dataclass(frozen=True)
+    class Hashed:
+        one: int
+        two: str = field(default="x", hash=False)
+
+    assert [each.hash for each in dataclasses.fields(Hashed)] == [None, False]
+    assert hash(Hashed(1, "a")) == hash(Hashed(1, "b"))

@@ -8,6 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from keymint.store.changes import Action, File, FolderChange, Plan, Step
+from keymint.view.stamps import State
+from keymint.workspace.workspace import Workspace, missing_gitignores
 from tests.conftest import snapshot
 from tests.keymint.git_repository import committed, secrets
 
@@ -65,3 +68,16 @@ def test_an_older_workspace_gets_them_with_the_next_run(keymint, ws: Path) -> No
     assert keymint("install", cwd=ws).code == 0
     assert snapshot(ws) == before
     assert keymint("check", cwd=ws).code == 0
+
+
+def test_a_space_that_is_a_link_gets_one_only_with_a_file(ws: Path, tmp_path: Path) -> None:
+    (ws / "install").rename(tmp_path / "elsewhere")
+    (ws / "install").symlink_to(tmp_path / "elsewhere")
+    (tmp_path / "elsewhere/.gitignore").unlink()
+    folder = ws / "install/enclaves/talker"
+    for change, missing in (
+        (FolderChange(folder, removed=("old.pem",)), []),
+        (FolderChange(folder, {"new.pem": File(b"new")}), [ws / "install"]),
+    ):
+        plan = Plan((Step("install", "talker", Action.UPDATED, (change,)),), State())
+        assert [each.folder for each in missing_gitignores(Workspace.at(ws, {}, ws), plan)] == missing
