@@ -51,7 +51,7 @@ CHECKOUT = Path(__file__).resolve().parent.parent
 ROOTS = ("comarmor", "keymint", "plugins")
 CONDUCTOR = "keymint/stages/pipeline.py"
 MEMOS = {"cache", "cached", "cached_property", "lru_cache", "once", "once_of_sources"}
-DATA_TYPES = {"NamedTuple", "TypedDict"}
+DATA_TYPES = {"Data", "NamedTuple", "TypedDict"}
 _JUDGEMENTS = """
 authorities-differ authority-differs authority-drift authority-expired authority-expires authority-key-mismatch
 authority-key-shared authority-shared bundle-authority bundle-outdated bundle-unexpected certificate-drift

@@ -9,7 +9,7 @@ from enum import IntEnum, StrEnum
 from typing import Self, TypeVar
 
 from comarmor.text import lazy_regex
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 
 _T = TypeVar("_T")
 Spot = tuple[str, int, int]
@@ -49,8 +49,7 @@ def citation(file: str, line: int = 0, source: str = "") -> str:
     return f"{place} (library)" if name and not source else place
 
 
-@dataclass(frozen=True, slots=True, order=True)
-class Origin:
+class Origin(Data, order=True):
     """A place in a file.
 
     Attributes:
@@ -96,8 +95,7 @@ class Origin:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class Reason:
+class Reason(Data):
     """Why a request is allowed or denied, on one line.
 
     Attributes:
@@ -115,8 +113,7 @@ class Reason:
         return "".join(part for part in self.parts if isinstance(part, str))
 
 
-@dataclass(frozen=True, slots=True)
-class Diagnostic:
+class Diagnostic(Data):
     """One finding, warning or error.
 
     Attributes:

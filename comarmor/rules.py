@@ -13,7 +13,7 @@ from types import MappingProxyType
 
 from comarmor.errors import Origin
 from comarmor.text import lazy_regex
-from comarmor.values import dataclass
+from comarmor.values import Data
 
 
 class Effect(StrEnum):
@@ -23,8 +23,7 @@ class Effect(StrEnum):
     DENY = "DENY"
 
 
-@dataclass(frozen=True, slots=True)
-class Rule:
+class Rule(Data):
     """One rule of a subject, with all tunables and placeholders expanded.
 
     Attributes:
@@ -48,8 +47,7 @@ class Rule:
     origin: Origin
 
 
-@dataclass(frozen=True, slots=True)
-class Expectation:
+class Expectation(Data):
     """A test case of a policy.
 
     Attributes:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Dataclasses that are made in a third of the time: a short run spends most of its time on imports, with 200 of them.
+"""The base of the data types, which are dataclasses: a short run spends most of its time on imports, with 200 of them.
 
-:func:`dataclasses.dataclass` generates and compiles each method of each class, and a run makes no object of most of
-them. Here a class gets what it needs at the first use. Only ``__init__`` is generated, for a class with many objects;
-the other methods are functions over the values of the fields.
+:func:`dataclasses.dataclass` makes a class with slots a second time, and generates and compiles each method of it; a
+run makes no object of most of them. Here a class is made once and gets what it needs at the first use. Only
+``__init__`` is generated, for a class with many objects; the other methods are functions over the values of the fields.
 """
 
 from __future__ import annotations
@@ -15,40 +15,49 @@ from collections.abc import Callable
 from dataclasses import MISSING, Field, field, replace
 from functools import cache, partial
 from types import MemberDescriptorType
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn, dataclass_transform
 
-if TYPE_CHECKING:
-    from dataclasses import dataclass
-else:
-
-    def dataclass(cls: type | None = None, /, **options: bool) -> Any:
-        """Return a class as a dataclass; the options of :func:`_made` are those of :func:`dataclasses.dataclass`."""
-        make = partial(_made, **options)
-        return make if cls is None else make(cls)
-
-
-__all__ = ["dataclass", "field", "replace"]
+__all__ = ["Data", "field", "replace"]
 _FEW = 50
 """Objects of a class that are made before its ``__init__`` is generated."""
 _DECLARED = "__declared__"
 """Attribute of a class with its own fields: the type of each, and its default or :func:`dataclasses.field`."""
-_OF_CLASS = {"__dict__", "__weakref__"}
-"""Attributes that belong to the class without slots."""
 
 
-def _made(given: type, *, frozen: bool = False, slots: bool = False, eq: bool = True, order: bool = False) -> Any:
-    own = vars(given)
-    declared = {name: each for name, each in given.__annotations__.items() if "ClassVar" not in str(each)}
-    new = dict(_methods(frozen, eq, order))
-    for name, each in own.items():
-        # A class that defines __eq__ has a __hash__ of None.
-        if name not in declared and name not in _OF_CLASS and (each is not None or name not in new):
-            new[name] = each
-    new[_DECLARED] = {name: (each, own.get(name, MISSING)) for name, each in declared.items()}
-    if slots:
-        inherited = {name for base in given.__mro__[1:-1] for name in vars(base).get("__slots__", ())}
-        new["__slots__"] = tuple(name for name in declared if name not in inherited)
-    return type(given)(given.__name__, given.__bases__, new | {"__qualname__": given.__qualname__})
+class _DataType(type):
+    """Makes the classes that name :class:`Data` as a base, without that base: they are of no special type."""
+
+    def __new__(
+        cls,
+        name: str,
+        bases: tuple[type, ...],
+        body: dict[str, Any],
+        *,
+        frozen: bool = True,
+        slots: bool = True,
+        eq: bool = True,
+        order: bool = False,
+    ) -> Any:
+        if not bases:
+            return super().__new__(cls, name, bases, body)
+        bases = tuple(base for base in bases if base is not Data)
+        declared = {name: each for name, each in body.get("__annotations__", {}).items() if "ClassVar" not in str(each)}
+        new = _methods(frozen, eq, order) | {name: each for name, each in body.items() if name not in declared}
+        new[_DECLARED] = {name: (each, body.get(name, MISSING)) for name, each in declared.items()}
+        if slots:
+            inherited = {name for base in bases for each in base.__mro__ for name in vars(each).get("__slots__", ())}
+            new["__slots__"] = tuple(name for name in declared if name not in inherited)
+        return type(name, bases, new)
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(field,))
+class Data(metaclass=_DataType):
+    """Base of the data types: a subclass is a frozen dataclass with slots.
+
+    The options of the class statement are those of :func:`dataclasses.dataclass`: ``frozen``, ``slots``, ``eq`` and
+    ``order``. As with :class:`typing.NamedTuple`, a subclass is not an instance of a special type, nor its subclasses:
+    each names this base itself.
+    """
 
 
 @cache

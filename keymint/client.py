@@ -22,7 +22,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint import cli
 from keymint.api import LoadedPolicy
 from keymint.command_line.agreement import another_policy, confirmed_plan
@@ -43,8 +43,7 @@ from keymint.workspace.session import Inputs, Session
 __all__ = ["Client", "Enclave", "KeymintError", "Threshold", "UnconfirmedError"]
 
 
-@dataclass(frozen=True, slots=True)
-class Enclave:
+class Enclave(Data):
     """An installed enclave.
 
     Attributes:

@@ -15,29 +15,36 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Iterable
 from functools import lru_cache
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from comarmor.patterns.tokens import SPECIAL
 from comarmor.rules import Effect, Rule
-from comarmor.values import dataclass, field
+from comarmor.values import Data
 
-__all__ = ["Arguments", "DeferredRules", "Kind", "Rule", "SubjectRules", "kind_of", "once_of_kind"]
+__all__ = ["Arguments", "Kind", "Rule", "SubjectRules", "kind_of", "once_of_kind"]
 
 _T = TypeVar("_T")
 
 
-@dataclass(frozen=True, slots=True)
-class SubjectRules:
+class SubjectRules(Data):
     """All rules that apply to one subject.
 
-    Attributes:
+    Args:
         subject: the subject's name, e.g. ``/robot1/talker``.
-        rules: in the order of the policy, which has no meaning.
+        read: the rules, or what returns them when they are first asked for; its errors are raised by :attr:`rules`.
+        kind: what :func:`kind_of` will return for them, if that is known.
     """
 
     subject: str
-    rules: tuple[Rule, ...]
-    _kind: tuple[Kind, Arguments] | None = field(default=None, init=False, repr=False, compare=False)
+    _read: tuple[Rule, ...] | Callable[[], tuple[Rule, ...]]
+    _kind: tuple[Kind, Arguments] | None = None
+
+    @property
+    def rules(self) -> tuple[Rule, ...]:
+        """The rules, in the order of the policy, which has no meaning."""
+        if not isinstance(self._read, tuple):
+            object.__setattr__(self, "_read", self._read())
+        return cast("tuple[Rule, ...]", self._read)
 
     @property
     def kind(self) -> tuple[Kind, Arguments]:
@@ -61,35 +68,6 @@ class SubjectRules:
     def __reduce__(self) -> tuple[Any, ...]:
         """Return what another process makes of them: rules that were read."""
         return SubjectRules, (self.subject, self.rules)
-
-
-class DeferredRules(SubjectRules):
-    """Rules that are read when they are first asked for.
-
-    Args:
-        subject: the subject's name.
-        read: returns the rules; its errors are raised by :attr:`rules`.
-        kind: what :func:`kind_of` will return for them, if that is known.
-    """
-
-    __slots__ = ("_read",)
-    _read: Callable[[], tuple[Rule, ...]] | tuple[Rule, ...]
-
-    def __init__(
-        self, subject: str, read: Callable[[], tuple[Rule, ...]], kind: tuple[Kind, Arguments] | None = None
-    ) -> None:
-        object.__setattr__(self, "subject", subject)
-        object.__setattr__(self, "_kind", kind)
-        object.__setattr__(self, "_read", read)
-
-    @property
-    def rules(self) -> tuple[Rule, ...]:
-        """The rules, in the order of the policy."""
-        read = self._read
-        if not isinstance(read, tuple):
-            read = read()
-            object.__setattr__(self, "_read", read)
-        return read
 
 
 KindRule = tuple[Effect, str, tuple[str, ...], tuple[str | int, ...], tuple[str, ...], bool]

@@ -17,7 +17,7 @@ from comarmor.errors import ComArmorError, Origin, Spot
 from comarmor.patterns.expression import canonical, escape
 from comarmor.patterns.tokens import COMARMOR, Bracket, next_token
 from comarmor.text import did_you_mean, lazy_regex, quote
-from comarmor.values import dataclass, field
+from comarmor.values import Data, field
 
 
 class Placeholder(StrEnum):
@@ -27,8 +27,7 @@ class Placeholder(StrEnum):
     NAMESPACE = "{namespace}"
 
 
-@dataclass(frozen=True, slots=True)
-class TunableReference:
+class TunableReference(Data):
     """``@{NAME}``: a reference to a tunable; the attachment expands to each of its values."""
 
     name: str
@@ -193,8 +192,7 @@ MOST_EXPANDED_CHARACTERS = 32 * 2**20
 """The most characters of all expanded expressions of a policy."""
 
 
-@dataclass(frozen=True, slots=True)
-class Tunable:
+class Tunable(Data):
     """A variable: its name, its expanded values, and where it is declared."""
 
     name: str
@@ -211,8 +209,7 @@ def _tunable_error(name: str, problem: str, where: Origin | None, help_: str = "
     return ComArmorError(f"the tunable @{{{name}}} {problem}", where=where, help=help_, code="tunable")
 
 
-@dataclass(slots=True)
-class ExpansionBudget:
+class ExpansionBudget(Data, frozen=False):
     """The characters that a policy's expanded expressions use, its tunables, and the keys of those that are used.
 
     A tunable of a file that is included several times is counted once.
@@ -223,8 +220,7 @@ class ExpansionBudget:
     used_tunables: set[tuple[Spot, str]] = field(default_factory=set)
 
 
-@dataclass(slots=True)
-class TunableScope:
+class TunableScope(Data, frozen=False):
     """The scope of a ``<profiles>`` or ``<profile>`` element.
 
     Attributes:

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from xml.parsers import expat  # nosec - only documents that comarmor.xml.reader accepts, which refuses every DOCTYPE
 
 from comarmor.language.attachments import strip
-from comarmor.values import dataclass, field
+from comarmor.values import Data, field
 
 TEXT = frozenset(("attachment", "value", "partition"))
 """The elements that contain text; all others contain elements only."""
@@ -30,8 +30,7 @@ _UNSEEN = frozenset(("Cc", "Cf", "Zl", "Zp", "Zs"))
 """General categories of characters that a reader of the document does not see, or cannot tell from a space."""
 
 
-@dataclass(frozen=True, slots=True)
-class Markup:
+class Markup(Data):
     """A comment or a processing instruction.
 
     Attributes:
@@ -45,8 +44,7 @@ class Markup:
     column: int
 
 
-@dataclass(slots=True)
-class Element:
+class Element(Data, frozen=False):
     """An element.
 
     Attributes:

@@ -17,15 +17,14 @@ from comarmor.language.syntax import Attachment, Inclusion, Profile, ProfileRule
 from comarmor.patterns.expression import literal
 from comarmor.rules import PERMISSIONS, Effect
 from comarmor.text import quote
-from comarmor.values import dataclass, field, replace
+from comarmor.values import Data, field, replace
 from comarmor.xml import schema
 
 _DEEPEST = 64
 _MOST_DIAGNOSTICS = 100
 
 
-@dataclass(frozen=True, slots=True)
-class _PlacedElement:
+class _PlacedElement(Data):
     """An element with its file, and the chain of includes that led to the file."""
 
     element: etree._Element
@@ -46,8 +45,7 @@ _Fragment = tuple[tuple[ProfileRule, ...], int]
 """The rules of a file that are the same wherever it is included, and the characters of its expressions."""
 
 
-@dataclass(slots=True)
-class _PolicyParser:
+class _PolicyParser(Data, frozen=False):
     """Parses the documents of a policy in order, and collects every defect.
 
     Attributes:

@@ -22,12 +22,11 @@ from comarmor.patterns.glob import parse
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.rules import PARTS, PERMISSIONS, Effect, Rule, suffixes
 from comarmor.text import did_you_mean, quote
-from comarmor.values import dataclass, field
+from comarmor.values import Data, field
 from comarmor.xml.package_folders import ShippedFile
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Ruling:
+class Ruling(Data, eq=False):
     """What a policy decides, without the request.
 
     Attributes:
@@ -189,8 +188,7 @@ class _ProfileLookup:
                 yield from inner.applicable(subject)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Policy:
+class Policy(Data, eq=False):
     """A policy.
 
     Attributes:

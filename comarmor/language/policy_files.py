@@ -10,13 +10,12 @@ from lxml import etree
 
 from comarmor.errors import ComArmorError, Origin
 from comarmor.text import did_you_mean, quote
-from comarmor.values import dataclass, field
+from comarmor.values import Data, field
 from comarmor.xml.package_folders import ShippedFile
 from comarmor.xml.reader import line, place
 
 
-@dataclass(frozen=True, slots=True)
-class IncludeFormat:
+class IncludeFormat(Data):
     """What a language accepts as an include.
 
     Attributes:
@@ -59,8 +58,7 @@ def href_of(element: etree._Element, where: Origin, known: tuple[str, ...] = ("h
     return element.get("href", "")
 
 
-@dataclass(frozen=True, slots=True)
-class ProfileCopy:
+class ProfileCopy(Data):
     """A profile that is taken out.
 
     Attributes:
@@ -76,8 +74,7 @@ class ProfileCopy:
     texts: Mapping[int, str]
 
 
-@dataclass(frozen=True, slots=True)
-class ShortDocument:
+class ShortDocument(Data):
     """A document without the profiles that are like others.
 
     Attributes:
@@ -91,8 +88,7 @@ class ShortDocument:
     kept: frozenset[tuple[int, int]] = frozenset()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PolicyFile:
+class PolicyFile(Data, eq=False):
     """One file of a policy.
 
     Attributes:
@@ -126,8 +122,7 @@ class PolicyFile:
         return Origin(self.name, number, chain, column)
 
 
-@dataclass(frozen=True, slots=True)
-class PolicyFiles:
+class PolicyFiles(Data):
     """The files of a policy.
 
     Attributes:

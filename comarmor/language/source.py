@@ -20,7 +20,7 @@ from comarmor.errors import ComArmorError, Origin
 from comarmor.language.policy_files import IncludeFormat, PolicyFile, PolicyFiles, ShortDocument, href_of
 from comarmor.rules import PERMISSIONS
 from comarmor.text import quote
-from comarmor.values import dataclass, field, replace
+from comarmor.values import Data, field, replace
 from comarmor.xml.package_folders import PackageFolders, ShippedFile
 from comarmor.xml.reader import LIMITS, XINCLUDE, Limits, parse, place
 from comarmor.xml.sandboxed_paths import SandboxedFolder, checked_path, file_errors, package_path, path_of, path_text
@@ -139,8 +139,7 @@ def _names_fingerprint(names: Sequence[str]) -> bytes:
     return hashlib.sha256("/".join(names).encode(errors="surrogateescape")).digest()
 
 
-@dataclass(slots=True)
-class _PolicyReader:
+class _PolicyReader(Data, frozen=False):
     """Reads each file of a policy once.
 
     Attributes:

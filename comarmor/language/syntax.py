@@ -9,14 +9,13 @@ from comarmor.errors import Origin, Reason
 from comarmor.language.attachments import Placeholder, Value, for_parts
 from comarmor.patterns.expression import literal
 from comarmor.rules import Effect, Rule, is_subject
-from comarmor.values import dataclass
+from comarmor.values import Data
 
 _LONGEST_NAME = 1024
 _LONGEST_SEGMENT = 255
 
 
-@dataclass(frozen=True, slots=True)
-class Attachment:
+class Attachment(Data):
     """An attachment with its tunables expanded, in canonical notation.
 
     Attributes:
@@ -43,8 +42,7 @@ class Attachment:
         return Attachment(self.text, self.where.included(chain), self.value)
 
 
-@dataclass(frozen=True, slots=True)
-class ProfileRule:
+class ProfileRule(Data):
     """A rule as a profile writes it: tunables are expanded, ``{name}`` and ``{namespace}`` are not.
 
     Attributes:
@@ -83,8 +81,7 @@ class ProfileRule:
         return Rule(self.effect, self.kind, self.permissions, unique, self.partitions, self.audit, self.where)
 
 
-@dataclass(frozen=True, slots=True)
-class Inclusion:
+class Inclusion(Data):
     """The rules of an included file that uses no tunables: they are the same wherever it is included.
 
     Attributes:
@@ -141,8 +138,7 @@ def files(origins: Iterable[Origin]) -> str:
     return "".join([repr(origin.file) for origin in origins])
 
 
-@dataclass(frozen=True, slots=True)
-class Profile:
+class Profile(Data):
     """A profile.
 
     Attributes:
@@ -169,8 +165,7 @@ class Profile:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class Decision:
+class Decision(Data):
     """A policy's decision on one request, with the reason.
 
     Attributes:

@@ -16,7 +16,7 @@ from comarmor.patterns.evaluate import Evaluator, shortest
 from comarmor.patterns.glob import Glob, literal, matcher
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.relations import disjoint, ends_differ
-from comarmor.values import dataclass, field
+from comarmor.values import Data, field
 
 ROUNDS = 16
 """Searches of a cube with a part of its excluded patterns, before all of them are used."""
@@ -26,8 +26,7 @@ _Ranked = tuple[Glob, int]
 """A pattern of a list, and the number of its block, which decides words that match unless an earlier opposite does."""
 
 
-@dataclass(slots=True, eq=False)
-class CounterexampleSearch:
+class CounterexampleSearch(Data, frozen=False, eq=False):
     """Searches for the shortest word that all of some lists permit and another list denies.
 
     Attributes:

@@ -10,11 +10,10 @@ from functools import lru_cache
 from comarmor.patterns.glob import EVERYTHING, Glob
 from comarmor.patterns.steps import StepLimitError, spend, step_limit
 from comarmor.patterns.tokens import ANY, Charset
-from comarmor.values import dataclass, field
+from comarmor.values import Data, field
 
 
-@dataclass(frozen=True, slots=True)
-class Block:
+class Block(Data):
     """A step of a decision list: it permits or denies the words that any of its patterns matches.
 
     Attributes:
@@ -35,8 +34,7 @@ def negate(decisions: DecisionList) -> DecisionList:
     return (*(Block(not block.allows, block.patterns) for block in decisions), Block(True, (EVERYTHING,)))
 
 
-@dataclass(frozen=True, slots=True)
-class Universe:
+class Universe(Data):
     """The words that a question covers: a fixed number of fields, with a separator between them.
 
     A pattern over words of two fields contains the separator once. Its wildcards cannot match the separator, because
@@ -72,13 +70,11 @@ EVERY_WORD = Universe(ANY)
 """All strings."""
 
 
-@dataclass(frozen=True, slots=True)
-class Equal:
+class Equal(Data):
     """The lists decide every word of the universe the same way; of other questions: there is no such word."""
 
 
-@dataclass(frozen=True, slots=True)
-class Witness:
+class Witness(Data):
     """A shortest word on which the lists differ; of other questions: a shortest such word.
 
     Attributes:
@@ -90,8 +86,7 @@ class Witness:
     left: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Unknown:
+class Unknown(Data):
     """The budget was spent before the question was decided.
 
     Attributes:
@@ -112,8 +107,7 @@ class BudgetError(Exception):
     """The budget of a question is spent; the message tells which."""
 
 
-@dataclass(slots=True)
-class SearchBudget:
+class SearchBudget(Data, frozen=False):
     """The cost that a question may have.
 
     Attributes:

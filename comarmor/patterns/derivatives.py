@@ -20,7 +20,7 @@ from comarmor.patterns.decision_lists import Universe
 from comarmor.patterns.glob import Glob, units
 from comarmor.patterns.steps import spend
 from comarmor.patterns.tokens import ANY, Charset, Star, distinct_letters
-from comarmor.values import dataclass, field
+from comarmor.values import Data, field
 
 END = 0
 """The node that matches only the empty word."""
@@ -29,8 +29,7 @@ _PREFERRED = "abcdefghijklmnopqrstuvwxyz_ABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789/-.
 """Letters are tried in this order, so that counterexamples look like names where possible."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Repeat:
+class _Repeat(Data):
     """Any number of characters of a set."""
 
     members: Charset
@@ -213,8 +212,7 @@ _Nodes = tuple[int, ...]
 _State = tuple[_Nodes, frozenset[int]]
 
 
-@dataclass(slots=True, eq=False)
-class CubeSearch:
+class CubeSearch(Data, frozen=False, eq=False):
     """Searches one cube.
 
     Attributes:

@@ -23,7 +23,7 @@ from comarmor.patterns.derivatives import Derivatives
 from comarmor.patterns.evaluate import Evaluator, permits, shortest
 from comarmor.patterns.glob import Glob, literal
 from comarmor.patterns.steps import spend
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 
 FIRST_STATES = 5_000
 STATES_PER_PATTERN = 20
@@ -132,8 +132,7 @@ Residual = tuple[tuple[bool, frozenset[int]], ...]
 _State = tuple[int, tuple[Residual, ...], Residual, frozenset[int]]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ProductSearch:
+class ProductSearch(Data, eq=False):
     """Searches for the shortest word on which a conjunction of lists and another list differ.
 
     Attributes:

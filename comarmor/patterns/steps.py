@@ -18,7 +18,7 @@ from functools import lru_cache, wraps
 from math import inf
 from typing import ParamSpec, TypeVar
 
-from comarmor.values import dataclass
+from comarmor.values import Data
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
@@ -36,8 +36,7 @@ class StepLimitError(Exception):
         super().__init__(f"not decided within {steps:,} steps")
 
 
-@dataclass(slots=True)
-class StepCounter:
+class StepCounter(Data, frozen=False):
     """The steps taken so far, and their limit.
 
     Attributes:

@@ -16,7 +16,7 @@ from itertools import chain
 
 from comarmor.errors import ComArmorError
 from comarmor.text import did_you_mean, lazy_regex
-from comarmor.values import dataclass
+from comarmor.values import Data
 
 MAX_CODE = 0x10FFFF
 SPECIAL = lazy_regex(r"[*?\[\\]")
@@ -42,8 +42,7 @@ class Undefined(Enum):
     """A range that ends in a class: it ends in the ``[``."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Dialect:
+class Dialect(Data, eq=False):
     """How an implementation reads expressions.
 
     Attributes:
@@ -68,16 +67,14 @@ POSIX = Dialect(errors=frozenset({Undefined.LONE_BACKSLASH, Undefined.UNKNOWN_CL
 """``fnmatch`` with no flags; an error is what implementations read differently."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Star:
+class Star(Data, eq=False):
     """``*``: any number of characters. :data:`STAR` is the only one, so that comparing it takes no time."""
 
     def __reduce__(self) -> str:
         return "STAR"
 
 
-@dataclass(frozen=True, slots=True)
-class Charset:
+class Charset(Data):
     """One character of a set.
 
     Attributes:
@@ -170,8 +167,7 @@ CLASSES = {
 """The character classes in the C locale (IEEE Std 1003.1, 7.3.1)."""
 
 
-@dataclass(frozen=True, slots=True)
-class Bracket:
+class Bracket(Data):
     """A bracket expression as it is written.
 
     Attributes:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from comarmor.errors import ComArmorError, Origin
 from comarmor.text import did_you_mean, quantity, quote
-from comarmor.values import dataclass, field
+from comarmor.values import Data, field
 from comarmor.xml.sandboxed_paths import FOLLOW_LINKS, PACKAGE, SandboxedFolder, file_errors, is_package_name, path_text
 
 SEARCH_PATH = "AMENT_PREFIX_PATH"
@@ -21,8 +21,7 @@ _INDEX = "share/ament_index/resource_index/packages"
 _KEYMINT, _PROFILES = "keymint", "comarmor.d"
 
 
-@dataclass(frozen=True, slots=True)
-class ShippedFile:
+class ShippedFile(Data):
     """A file of a package that a policy includes.
 
     Attributes:
@@ -43,8 +42,7 @@ class ShippedFile:
         return hashlib.sha256(self.content).hexdigest()
 
 
-@dataclass(frozen=True, slots=True)
-class CopiedPackages:
+class CopiedPackages(Data):
     """Copies of files that packages ship.
 
     Attributes:
@@ -66,8 +64,7 @@ class CopiedPackages:
         return ()
 
 
-@dataclass(frozen=True, slots=True)
-class InstalledPackages:
+class InstalledPackages(Data):
     """The installed packages, found as ament_index finds them: the first prefix that has a package wins.
 
     A prefix has a package that is registered in its index, or for which it has a folder ``share/PACKAGE/keymint``.

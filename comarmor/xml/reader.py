@@ -15,7 +15,7 @@ from lxml import etree
 
 from comarmor.errors import ComArmorError, Origin
 from comarmor.text import quote
-from comarmor.values import dataclass
+from comarmor.values import Data
 
 XINCLUDE = "http://www.w3.org/2001/XInclude"
 XSI = "http://www.w3.org/2001/XMLSchema-instance"
@@ -26,8 +26,7 @@ _CHUNK = 1 << 16
 _HINTS = ("schemaLocation", "noNamespaceSchemaLocation")
 
 
-@dataclass(frozen=True, slots=True)
-class Limits:
+class Limits(Data):
     """Limits of a document or policy; exceeding one is an error.
 
     Attributes:

@@ -17,14 +17,13 @@ from urllib.parse import unquote, urlsplit
 
 from comarmor.errors import ComArmorError, Origin
 from comarmor.text import did_you_mean, lazy_regex, quote
-from comarmor.values import dataclass
+from comarmor.values import Data
 
 FOLLOW_LINKS = "--trust-links follows it, e.g. in what 'colcon build --symlink-install' made"
 """What to do about a link that leads out of a package."""
 
 
-@dataclass(frozen=True, slots=True)
-class SandboxedFolder:
+class SandboxedFolder(Data):
     """A folder that file access is confined to.
 
     Attributes:

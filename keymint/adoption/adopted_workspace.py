@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from keymint.adoption.keystore_policy import AdoptedPolicy
 from keymint.api import (
     AdoptedSources,
@@ -44,8 +44,7 @@ from keymint.workspace.workspace import DEFAULTS
 STAGE = "adopt"
 
 
-@dataclass(frozen=True, slots=True)
-class Adoption:
+class Adoption(Data):
     """A keystore to take over.
 
     Attributes:

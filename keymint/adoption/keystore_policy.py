@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from keymint.api import (
     ComparisonTask,
     DocumentComparison,
@@ -32,8 +32,7 @@ _WORDS = {
 _NOTE = "Learned from the signed documents of a keystore, and proven to mean the same for all names."
 
 
-@dataclass(frozen=True, slots=True)
-class AdoptedPolicy:
+class AdoptedPolicy(Data):
     """The policy of a keystore that is taken over.
 
     Attributes:
@@ -51,8 +50,7 @@ class AdoptedPolicy:
     diagnostics: tuple[Diagnostic, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Compared:
+class Compared(Data):
     """How the signed document of a subject compares with the policy.
 
     Attributes:
@@ -125,8 +123,7 @@ def differences(found: DocumentComparison) -> str:
 # -- learn a policy from the signed documents of a keystore -----------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class Learning:
+class Learning(Data):
     """How a policy is learned.
 
     Attributes:

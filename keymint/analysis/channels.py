@@ -18,7 +18,7 @@ from comarmor.patterns.decision_lists import DecisionList, Equal, Witness
 from comarmor.patterns.glob import EVERYTHING, Glob, literal, parse
 from comarmor.patterns.relations import TooComplexError, covers, intersection
 from comarmor.rules import Effect
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.analysis.rule_lists import (
     RAW,
     PermissionKey,
@@ -55,8 +55,7 @@ FLOWS: tuple[tuple[PermissionKey, PermissionKey], ...] = (
 """Pairs of permissions of writer and reader: a client sends requests, a server sends replies."""
 
 
-@dataclass(frozen=True, slots=True)
-class Channel:
+class Channel(Data):
     """A name by which data can flow from one subject to another.
 
     Attributes:

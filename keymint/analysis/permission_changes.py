@@ -18,7 +18,7 @@ from comarmor.patterns.decision_lists import DecisionList, Equal, ProofResult, U
 from comarmor.patterns.glob import Glob, matches, parse, surround
 from comarmor.patterns.relations import covers, disjoint
 from comarmor.rules import PARTS, PERMISSIONS, Effect, parts
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.analysis.rule_lists import (
     ListComparison,
     PermissionKey,
@@ -53,8 +53,7 @@ from keymint.errors import Origin
 from keymint.ir import Rule
 
 
-@dataclass(frozen=True, slots=True)
-class PermissionChange:
+class PermissionChange(Data):
     """Objects on which a subject gains, or loses, a permission.
 
     Attributes:
@@ -237,8 +236,7 @@ whether there is one.
 """
 
 
-@dataclass(frozen=True, slots=True)
-class Versions:
+class Versions(Data):
     """Two policies to compare.
 
     Attributes:

@@ -9,7 +9,7 @@ from itertools import product
 from comarmor.patterns.decision_lists import Unknown
 from comarmor.patterns.glob import literal
 from comarmor.patterns.tokens import STAR
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from keymint.analysis.permission_changes import KEYS, PatternComparison, PermissionChange, Versions, rule_changes
 from keymint.analysis.rule_lists import SEPARATOR, pattern_text
 from keymint.analysis.subject_classes import ClassFinder
@@ -23,8 +23,7 @@ from keymint.ir import Rule
 _UNWRITTEN = "the policy type does not provide its rules for subjects that a policy does not name"
 
 
-@dataclass(frozen=True, slots=True)
-class SubjectChanges:
+class SubjectChanges(Data):
     """The changes for a subject.
 
     Attributes:

@@ -9,7 +9,7 @@ from comarmor.patterns.decision_lists import Equal, Witness, negate
 from comarmor.patterns.glob import Glob, matches, parse
 from comarmor.patterns.relations import disjoint
 from comarmor.rules import Effect
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.analysis.query import who_can
 from keymint.analysis.rule_lists import (
     allow_only,
@@ -29,8 +29,7 @@ from keymint.ir import Rule
 from keymint.names import typed_permission, typed_subject
 
 
-@dataclass(frozen=True, slots=True)
-class ExpectationResult:
+class ExpectationResult(Data):
     """The result of an expectation.
 
     Attributes:

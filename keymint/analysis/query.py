@@ -12,7 +12,7 @@ from comarmor.patterns.decision_lists import Equal, ProofResult, Unknown, Witnes
 from comarmor.patterns.glob import Glob, literal, matches, right_quotient
 from comarmor.patterns.relations import disjoint
 from comarmor.rules import Effect, parts
-from comarmor.values import dataclass, field
+from comarmor.values import Data, field
 from keymint.analysis.rule_lists import (
     allow_only,
     find_permitted,
@@ -41,8 +41,7 @@ FORMS = (
 HEADS = tuple(form.split()[0] for form in FORMS)
 
 
-@dataclass(frozen=True, slots=True)
-class PermissionHolder:
+class PermissionHolder(Data):
     """A subject that has a permission, or may have it.
 
     Attributes:
@@ -86,8 +85,7 @@ def who_can(policy: LoadedPolicy, within: Glob, kind: str, permission: str, name
         yield from search.others(within, rules, frozenset(named))
 
 
-@dataclass(frozen=True, slots=True)
-class _HolderSearch:
+class _HolderSearch(Data):
     """Finds subjects with a permission.
 
     Attributes:

@@ -16,7 +16,7 @@ from comarmor.patterns.glob import Glob, literal, matches, normalise, parse, rig
 from comarmor.patterns.relations import TooComplexError, covers, disjoint, intersection, maximal
 from comarmor.patterns.tokens import STAR
 from comarmor.rules import PARTS, Effect, parts
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from keymint.analysis.permission_changes import KEYS, PatternComparison, PermissionChange, Versions
 from keymint.analysis.rule_lists import (
     PermissionKey,
@@ -47,8 +47,7 @@ class _NotAlikeError(Exception):
     """A class cannot be narrowed to members that change alike; the message tells why."""
 
 
-@dataclass(frozen=True, slots=True)
-class ClassFinder:
+class ClassFinder(Data):
     """Finds the class of a subject that changes.
 
     Attributes:

@@ -21,7 +21,7 @@ from comarmor.patterns.steps import StepLimitError, spend, step_counting_cache, 
 from comarmor.patterns.tokens import Charset, Star
 from comarmor.rules import is_fully_qualified, is_subject
 from comarmor.text import did_you_mean
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.api import LoadedPolicy, WrittenProfile, WrittenRule, lazy
 from keymint.ir import Rule
 
@@ -42,8 +42,7 @@ _MOST_PIECES = 64
 _NODE = "ros_parameter"
 
 
-@dataclass(frozen=True, slots=True)
-class SubjectClass:
+class SubjectClass(Data):
     """The subjects that one pattern matches and others do not.
 
     Attributes:

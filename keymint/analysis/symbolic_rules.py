@@ -20,7 +20,7 @@ from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.relations import TooComplexError, disjoint
 from comarmor.patterns.tokens import STAR, Star, Token
 from comarmor.rules import Effect
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.analysis.rule_lists import PermissionKey, permission_keys, rule_patterns
 from keymint.analysis.subject_patterns import (
     EVERY,
@@ -46,8 +46,7 @@ _Piece = tuple[tuple[Glob, ...], tuple[Glob, ...], Glob]
 """Limits of the namespace, limits of the name, and pattern of symbolic words."""
 
 
-@dataclass(frozen=True, slots=True)
-class FittedPattern:
+class FittedPattern(Data):
     """A pattern, rewritten for symbolic words with the placeholders of another pattern.
 
     Attributes:
@@ -211,8 +210,7 @@ def _cuts(pattern: _Tokens) -> Iterator[tuple[_Tokens, _Tokens]]:
             yield left, right
 
 
-@dataclass(frozen=True, slots=True)
-class SymbolicEntry:
+class SymbolicEntry(Data):
     """An expression of a rule.
 
     Attributes:
@@ -237,8 +235,7 @@ def namespace_name_pairs(subjects: Glob) -> tuple[tuple[Glob, Glob], ...]:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class ProfileReach:
+class ProfileReach(Data):
     """The subjects that nested profiles match by patterns.
 
     Attributes:
@@ -259,8 +256,7 @@ class ProfileReach:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class SymbolicRule:
+class SymbolicRule(Data):
     """An expression of a rule.
 
     Attributes:

@@ -28,7 +28,7 @@ from comarmor.patterns.glob import Glob, literal, matches, normalise, parse, wor
 from comarmor.patterns.proofs import difference
 from comarmor.patterns.relations import TooComplexError, intersection
 from comarmor.patterns.tokens import STAR, charset
-from comarmor.values import dataclass, field
+from comarmor.values import Data, field
 from keymint.analysis.rule_lists import RAW, SEPARATOR, universe
 from keymint.analysis.subject_patterns import SubjectClass, example_subject
 from keymint.analysis.symbolic_rules import (
@@ -67,8 +67,7 @@ _ILLEGAL_OBJECTS = (
 )
 
 
-@dataclass(slots=True)
-class QueryBudget:
+class QueryBudget(Data, frozen=False):
     """A budget shared by several queries.
 
     Attributes:
@@ -167,8 +166,7 @@ def _singled(subjects: Iterable[tuple[Glob, Glob]], used: Sequence[str]) -> Iter
         yield from product([*map(_text, namespaces)] or [namespace], [*map(_text, names)] or [name])
 
 
-@dataclass(frozen=True, slots=True)
-class _Search:
+class _Search(Data):
     """The search among subjects whose namespace and name match two patterns; see :func:`find_subject`."""
 
     kind: str

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import TYPE_CHECKING
 
-from comarmor.values import dataclass, field
+from comarmor.values import Data, field
 from keymint.api.graph import Edge
 from keymint.api.packages import Package
 from keymint.errors import Diagnostic, Origin
@@ -17,16 +17,14 @@ if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.rsa import RSAPrivateKey
 
 
-@dataclass(frozen=True, slots=True)
-class Hint:
+class Hint(Data):
     """How often a subject uses an edge: a hint for the order of rules, which does not change their meaning."""
 
     edge: Edge
     times: int
 
 
-@dataclass(frozen=True, slots=True)
-class BuildOptions:
+class BuildOptions(Data):
     """Options of a build.
 
     Attributes:
@@ -40,8 +38,7 @@ class BuildOptions:
     hints: tuple[Hint, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class BuildResult:
+class BuildResult(Data):
     """The result of a build.
 
     Attributes:
@@ -58,8 +55,7 @@ class BuildResult:
     alike: object | None = field(default=None, repr=False, compare=False)
 
 
-@dataclass(frozen=True, slots=True)
-class SigningAuthority:
+class SigningAuthority(Data):
     """An authority that signs; ``repr`` contains none of the secrets.
 
     Attributes:
@@ -78,8 +74,7 @@ class SigningAuthority:
     token_key: EllipticCurvePrivateKey | RSAPrivateKey | None = field(default=None, repr=False)
 
 
-@dataclass(frozen=True, slots=True)
-class Layout:
+class Layout(Data):
     """A layout of the install space.
 
     Attributes:
@@ -91,8 +86,7 @@ class Layout:
     reserved: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class AuthorityRole:
+class AuthorityRole(Data):
     """An authority that the enclave of a package rests on.
 
     Attributes:
@@ -108,8 +102,7 @@ class AuthorityRole:
     signs: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Credentials:
+class Credentials(Data):
     """The keys and certificates of an enclave, or the authorities of shared documents; all PEM.
 
     Attributes:
@@ -129,16 +122,14 @@ class Credentials:
     revocations: bytes = b""
 
 
-@dataclass(frozen=True, slots=True)
-class Artifact:
+class Artifact(Data):
     """A file to install: its bytes and whether it is secret (mode 0600) or public (0644)."""
 
     content: bytes = field(repr=False)
     secret: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class EnvironmentVariable:
+class EnvironmentVariable(Data):
     """An environment variable of a process that uses the keystore.
 
     Attributes:
@@ -152,8 +143,7 @@ class EnvironmentVariable:
     is_path: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Inspection:
+class Inspection(Data):
     """An installed enclave, or installed shared documents, and the state that ``keymint check`` expects.
 
     Attributes:
@@ -189,8 +179,7 @@ class Inspection:
         return package
 
 
-@dataclass(frozen=True, slots=True)
-class Implementation:
+class Implementation(Data):
     """An implementation of a transport, as it was measured.
 
     Attributes:

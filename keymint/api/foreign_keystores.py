@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from datetime import datetime
 from typing import Any
 
-from comarmor.values import dataclass, field
+from comarmor.values import Data, field
 from keymint.api.packages import DomainRange, KeySpec, Package, Validity
 from keymint.api.policies import ImportedSubject
 from keymint.api.rights import Comparison, ComparisonTask, DocumentComparison
@@ -16,8 +16,7 @@ from keymint.errors import Diagnostic
 from keymint.ir import SubjectRules
 
 
-@dataclass(frozen=True, slots=True)
-class KeystoreFile:
+class KeystoreFile(Data):
     """A file of a keystore.
 
     Attributes:
@@ -31,8 +30,7 @@ class KeystoreFile:
     link: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class KeystoreFiles:
+class KeystoreFiles(Data):
     """The files of a keystore, read once.
 
     Attributes:
@@ -46,8 +44,7 @@ class KeystoreFiles:
     now: datetime
 
 
-@dataclass(frozen=True, slots=True)
-class FoundAuthority:
+class FoundAuthority(Data):
     """An authority of a keystore.
 
     Attributes:
@@ -71,8 +68,7 @@ class FoundAuthority:
     exposed: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class FoundGrant:
+class FoundGrant(Data):
     """The signed rights of an enclave.
 
     Attributes:
@@ -88,8 +84,7 @@ class FoundGrant:
     subject_name: str
 
 
-@dataclass(frozen=True, slots=True)
-class FoundEnclave:
+class FoundEnclave(Data):
     """An enclave of a keystore.
 
     Attributes:
@@ -124,8 +119,7 @@ class FoundEnclave:
     exposed: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class FoundKeystore:
+class FoundKeystore(Data):
     """What a build type found in a keystore.
 
     Attributes:
@@ -151,8 +145,7 @@ class FoundKeystore:
     revocation_lists: Mapping[str, bytes] = field(default_factory=dict, repr=False)
 
 
-@dataclass(frozen=True, slots=True)
-class AdoptedSources:
+class AdoptedSources(Data):
     """What the sources of a package must say so that they describe an enclave that another tool made.
 
     Attributes:
@@ -177,8 +170,7 @@ class AdoptedSources:
 # -- learn a policy from documents in force: a build type reads their rules, and a policy type writes them ------------
 
 
-@dataclass(frozen=True, slots=True)
-class GrantedRules:
+class GrantedRules(Data):
     """What the signed document of an enclave grants, as rules in which DENY overrides ALLOW.
 
     Attributes:

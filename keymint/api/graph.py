@@ -14,12 +14,11 @@ from enum import StrEnum
 
 from comarmor.rules import PERMISSIONS
 from comarmor.text import lazy_regex
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.errors import Diagnostic
 
 
-@dataclass(frozen=True, slots=True, order=True)
-class Object:
+class Object(Data, order=True):
     """A topic, service, action, parameter server, or raw topic of the transport.
 
     Attributes:
@@ -37,8 +36,7 @@ DomainObject = tuple[int, Object]
 """An object in a domain."""
 
 
-@dataclass(frozen=True, slots=True, order=True)
-class Edge:
+class Edge(Data, order=True):
     """A subject with a permission on an object, in a domain."""
 
     subject: str
@@ -52,8 +50,7 @@ class Edge:
         return self.domain, self.object
 
 
-@dataclass(frozen=True, slots=True)
-class Graph:
+class Graph(Data):
     """A semantic access graph.
 
     Attributes:
@@ -79,8 +76,7 @@ class Graph:
         return tuple(sorted({edge.domain_object for edge in self.edges}))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Column:
+class Column(Data, eq=False):
     """Requests to ask of several subjects; what follows from a column can be kept for it.
 
     Attributes:
@@ -142,8 +138,7 @@ class EdgeOutcome(StrEnum):
 MISMATCHES = frozenset({EdgeOutcome.FALSE_POSITIVE, EdgeOutcome.FALSE_NEGATIVE})
 
 
-@dataclass(frozen=True, slots=True)
-class ConfusionMatrix:
+class ConfusionMatrix(Data):
     """Number of edges by outcome of the comparison of a transport with the policy."""
 
     true_positive: int = 0

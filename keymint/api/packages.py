@@ -7,13 +7,12 @@ from collections.abc import Mapping
 from datetime import datetime
 from enum import StrEnum
 
-from comarmor.values import dataclass, field
+from comarmor.values import Data, field
 from keymint.errors import Origin
 from keymint.ir import SubjectRules
 
 
-@dataclass(frozen=True, slots=True)
-class Validity:
+class Validity(Data):
     """A period of validity, in UTC, both ends included (RFC 5280, 4.1.2.5).
 
     Attributes:
@@ -25,8 +24,7 @@ class Validity:
     origin: Origin | None = field(default=None, compare=False)
 
 
-@dataclass(frozen=True, slots=True)
-class KeySpec:
+class KeySpec(Data):
     """An asymmetric key to mint, or one in a PKCS #11 token.
 
     Attributes:
@@ -47,8 +45,7 @@ class KeySpec:
     pin_env: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Extension:
+class Extension(Data):
     """An X.509 v3 extension in the notation of OpenSSL's ``x509v3_config``.
 
     Attributes:
@@ -64,8 +61,7 @@ class Extension:
     origin: Origin
 
 
-@dataclass(frozen=True, slots=True)
-class CertificateSpec:
+class CertificateSpec(Data):
     """A certificate to issue.
 
     Attributes:
@@ -105,8 +101,7 @@ class Phase(StrEnum):
     """There is one authority again, the next one; nothing records this phase."""
 
 
-@dataclass(frozen=True, slots=True)
-class Rollover:
+class Rollover(Data):
     """The replacement of an authority's key, under way.
 
     Attributes:
@@ -118,8 +113,7 @@ class Rollover:
     certificate: bytes
 
 
-@dataclass(frozen=True, slots=True)
-class AuthorityIssuance:
+class AuthorityIssuance(Data):
     """What was decided about the certificate of an authority, beyond the documents of its owner.
 
     Attributes:
@@ -136,8 +130,7 @@ class AuthorityIssuance:
     exposed: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Authority:
+class Authority(Data):
     """A certificate authority of the workspace.
 
     Attributes:
@@ -154,8 +147,7 @@ class Authority:
 # -- packages --------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True, order=True)
-class DomainRange:
+class DomainRange(Data, order=True):
     """Domain ids from ``first`` to ``last``, both included."""
 
     first: int
@@ -171,8 +163,7 @@ class Role(StrEnum):
     """A transport needs its identity, and the policy grants it nothing."""
 
 
-@dataclass(frozen=True, slots=True)
-class Grant:
+class Grant(Data):
     """The grant of a subject: its rules, domains and validity.
 
     Attributes:
@@ -198,8 +189,7 @@ class Grant:
     edited: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class SourcePart:
+class SourcePart(Data):
     """A document of a package that only its build type reads, and its defaults.
 
     Attributes:
@@ -221,8 +211,7 @@ class SourcePart:
     where: Origin
 
 
-@dataclass(frozen=True, slots=True)
-class PackageSources:
+class PackageSources(Data):
     """The sources of a package, as a build type needs them to read its parts.
 
     Attributes:
@@ -250,8 +239,7 @@ class PackageSources:
     grant: Grant | None
 
 
-@dataclass(frozen=True, slots=True)
-class PackageSettings:
+class PackageSettings(Data):
     """What a build type read from the sources of a package.
 
     Attributes:
@@ -263,8 +251,7 @@ class PackageSettings:
     extensions: tuple[Extension, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Issuance:
+class Issuance(Data):
     """What an authority decided about the certificate and the grant of a package, beyond the documents of its owner.
 
     The certificate and the grant are of one generation, which their subject names show, and change together.
@@ -288,8 +275,7 @@ class Issuance:
     exposed: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Package:
+class Package(Data):
     """A loaded source package: the input of build types for one subject.
 
     Attributes:

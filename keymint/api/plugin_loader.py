@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from comarmor.text import did_you_mean
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.api import (
     API_VERSION,
     BuildType,
@@ -45,8 +45,7 @@ GROUPS: Mapping[str, type] = {
 """The entry-point groups, each with the class that its plugins are of."""
 
 
-@dataclass(frozen=True, slots=True)
-class PluginInfo:
+class PluginInfo(Data):
     """Metadata of a plugin, read without loading it.
 
     Attributes:

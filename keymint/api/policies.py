@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from comarmor.rules import Expectation
-from comarmor.values import dataclass, field
+from comarmor.values import Data, field
 from keymint.api.graph import Edge, Graph, Object
 from keymint.errors import Diagnostic, Origin, Reason
 from keymint.ir import Rule, SubjectRules
@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from comarmor.xml.package_folders import PackageFolders, ShippedFile
 
 
-@dataclass(frozen=True, slots=True)
-class PolicySource:
+class PolicySource(Data):
     """A policy that the profile names: a file or a directory."""
 
     name: str
@@ -28,8 +27,7 @@ class PolicySource:
     origin: Origin
 
 
-@dataclass(frozen=True, slots=True)
-class PolicyDecision:
+class PolicyDecision(Data):
     """A policy's decision on an edge.
 
     Attributes:
@@ -45,8 +43,7 @@ class PolicyDecision:
     audit: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class AppliedProfile:
+class AppliedProfile(Data):
     """A profile of a policy that applies to a subject: its label, its place, and whether it requires logging."""
 
     name: str
@@ -54,8 +51,7 @@ class AppliedProfile:
     audit: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class WrittenProfile:
+class WrittenProfile(Data):
     """A profile as the policy writes it.
 
     Attributes:
@@ -71,8 +67,7 @@ class WrittenProfile:
     attachments: tuple[tuple[str, Origin], ...]
 
 
-@dataclass(frozen=True, slots=True)
-class WrittenRule:
+class WrittenRule(Data):
     """A rule as the policy writes it, before it is expanded for a subject.
 
     Attributes:
@@ -90,8 +85,7 @@ class WrittenRule:
     included: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class PolicyStructure:
+class PolicyStructure(Data):
     """The structure of a policy, independent of subjects.
 
     Attributes:
@@ -180,8 +174,7 @@ class LoadedPolicy(ABC):
 # -- types of policies ------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class ImportedSubject:
+class ImportedSubject(Data):
     """A subject of an imported policy.
 
     Attributes:
@@ -197,8 +190,7 @@ class ImportedSubject:
     deviates: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class ImportedPolicy:
+class ImportedPolicy(Data):
     """A policy in the language of Keymint.
 
     Attributes:
@@ -212,8 +204,7 @@ class ImportedPolicy:
     diagnostics: tuple[Diagnostic, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class ImportRequest:
+class ImportRequest(Data):
     """A policy to import.
 
     Attributes:
@@ -233,8 +224,7 @@ class ImportRequest:
     library_shown: Path | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class ExportedPolicy:
+class ExportedPolicy(Data):
     """A policy in the language of another tool.
 
     Attributes:
@@ -249,8 +239,7 @@ class ExportedPolicy:
     subjects: tuple[ImportedSubject, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class LearnedPolicy:
+class LearnedPolicy(Data):
     """A policy learned from a graph.
 
     Attributes:

@@ -9,13 +9,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 
-from comarmor.values import dataclass, field
+from comarmor.values import Data, field
 from keymint.api.packages import Authority, AuthorityIssuance, Validity
 from keymint.api.policies import PolicySource
 
 
-@dataclass(frozen=True, slots=True)
-class AcceptedPackage:
+class AcceptedPackage(Data):
     """What the owner of a workspace accepted of the profiles that a ROS package ships.
 
     Attributes:
@@ -27,8 +26,7 @@ class AcceptedPackage:
     follows_links: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class WorkspaceProfile:
+class WorkspaceProfile(Data):
     """A loaded workspace profile.
 
     Attributes:
@@ -70,8 +68,7 @@ class WorkspaceProfile:
     distro_named: bool = True
 
 
-@dataclass(frozen=True, slots=True)
-class Bootstrap:
+class Bootstrap(Data):
     """A request to create a profile, from the options of ``keymint init``.
 
     Attributes:

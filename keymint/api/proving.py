@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from enum import StrEnum
 
-from comarmor.values import dataclass, field
+from comarmor.values import Data, field
 from keymint.api.graph import Edge
 from keymint.api.packages import DomainRange, Package
 from keymint.api.policies import PolicyDecision
@@ -18,8 +18,7 @@ from keymint.errors import Diagnostic, Origin
 from keymint.ir import Rule, SubjectRules
 
 
-@dataclass(frozen=True, slots=True)
-class TrustAnchor:
+class TrustAnchor(Data):
     """An authority of the workspace that an enclave must trust.
 
     Attributes:
@@ -33,8 +32,7 @@ class TrustAnchor:
     chain: bytes = field(repr=False)
 
 
-@dataclass(frozen=True, slots=True)
-class TrustAnchors:
+class TrustAnchors(Data):
     """The trust anchors of an enclave. They come from the workspace, because an enclave cannot vouch for itself.
 
     Attributes:
@@ -55,8 +53,7 @@ class TrustAnchors:
     distro: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class EnclaveFiles:
+class EnclaveFiles(Data):
     """The installed files of an enclave, and what they must rest on.
 
     Attributes:
@@ -74,8 +71,7 @@ class EnclaveFiles:
     shared_folder: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class ProofTask:
+class ProofTask(Data):
     """A proof to attempt: the documents of an enclave permit exactly what the policy allows, for all names.
 
     Attributes:
@@ -97,8 +93,7 @@ class ProofTask:
     unsigned: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class SharedProofTask:
+class SharedProofTask(Data):
     """A proof of claims across subjects to attempt.
 
     Attributes:
@@ -134,8 +129,7 @@ class Proof(StrEnum):
     UNKNOWN = "unknown"
 
 
-@dataclass(frozen=True, slots=True)
-class Counterexample:
+class Counterexample(Data):
     """A shortest name on which policy and document differ.
 
     Attributes:
@@ -158,8 +152,7 @@ class Counterexample:
     difference: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Claim:
+class Claim(Data):
     """The claim that the documents, as a model reads them, permit an action exactly where the policy allows it.
 
     Attributes:
@@ -186,8 +179,7 @@ class Claim:
     excepted: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class ValidityTerm:
+class ValidityTerm(Data):
     """The validity of a certificate or grant without which an enclave is permitted nothing.
 
     Attributes:
@@ -205,8 +197,7 @@ class ValidityTerm:
     models: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class InstalledRights:
+class InstalledRights(Data):
     """What the documents of an enclave grant.
 
     Attributes:

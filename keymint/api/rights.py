@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from datetime import datetime
 from enum import StrEnum
 
-from comarmor.values import dataclass, field
+from comarmor.values import Data, field
 from keymint.api.packages import DomainRange, Package
 from keymint.api.proving import Claim, Counterexample
 from keymint.errors import Diagnostic, Origin
@@ -29,8 +29,7 @@ class Relation(StrEnum):
     UNKNOWN = "unknown"
 
 
-@dataclass(frozen=True, slots=True)
-class ComparisonTask:
+class ComparisonTask(Data):
     """A document to compare with rules.
 
     Attributes:
@@ -56,8 +55,7 @@ class ComparisonTask:
     go_on: Callable[[], bool]
 
 
-@dataclass(frozen=True, slots=True)
-class DocumentComparison:
+class DocumentComparison(Data):
     """What a comparison found.
 
     Attributes:
@@ -73,8 +71,7 @@ class DocumentComparison:
     reason: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Comparison:
+class Comparison(Data):
     """What two documents mean, by the same rules.
 
     Attributes:
@@ -96,8 +93,7 @@ def standard_claims(claims: Sequence[Claim]) -> tuple[Claim, ...]:
 # -- documents in force, and who may present them -------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class Holder:
+class Holder(Data):
     """A certificate in force. Whoever has its key may present any document that is signed for its name.
 
     Attributes:
@@ -117,8 +113,7 @@ class Holder:
     domains: tuple[DomainRange, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class PresentableDocument:
+class PresentableDocument(Data):
     """A document that an authority of the workspace signed, so that a holder may present it.
 
     Attributes:
@@ -134,8 +129,7 @@ class PresentableDocument:
     proven_for: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class PresentationTask:
+class PresentationTask(Data):
     """The question which holders are permitted something beyond the policy by a document that they may present.
 
     Attributes:
@@ -155,8 +149,7 @@ class PresentationTask:
     distro: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class ExcessRights:
+class ExcessRights(Data):
     """A holder is permitted something beyond the policy, or may be, by a document that it may present.
 
     Attributes:

@@ -10,7 +10,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import NoReturn
 
-from comarmor.values import dataclass, field
+from comarmor.values import Data, field
 from keymint.api.graph import Column, Edge, Graph
 from keymint.errors import Diagnostic, KeymintError, Origin
 
@@ -27,8 +27,7 @@ class Tier(StrEnum):
     EXCHANGE = "exchange"
 
 
-@dataclass(frozen=True, slots=True)
-class Availability:
+class Availability(Data):
     """Whether a transport can be used on this machine, and if not, how to install what is missing.
 
     Attributes:
@@ -68,8 +67,7 @@ class Availability:
             raise KeymintError(message, help=self.help, code="transport-unusable")
 
 
-@dataclass(frozen=True, slots=True)
-class InstalledEnclave:
+class InstalledEnclave(Data):
     """An installed enclave.
 
     Attributes:
@@ -86,8 +84,7 @@ class InstalledEnclave:
     install: Path
 
 
-@dataclass(frozen=True, slots=True, order=True)
-class Endpoint:
+class Endpoint(Data, order=True):
     """An action of a subject on a name of its transport.
 
     Attributes:
@@ -105,8 +102,7 @@ class Endpoint:
     domain: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Verdict:
+class Verdict(Data):
     """A transport's decision on an edge.
 
     Attributes:
@@ -126,8 +122,7 @@ class Verdict:
     partial: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Environment:
+class Environment(Data):
     """The environment of a transport; plugins do not read it themselves.
 
     Attributes:
@@ -210,8 +205,7 @@ class TransportType:
         self.open = make
 
 
-@dataclass(frozen=True, slots=True)
-class DiscoveredGraph:
+class DiscoveredGraph(Data):
     """An observed graph, and findings on it (e.g. how its subjects were named)."""
 
     graph: Graph

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from cryptography import x509
 
-from comarmor.values import dataclass, field, replace
+from comarmor.values import Data, field, replace
 from keymint.api import Authority, AuthorityIssuance, SigningAuthority
 from keymint.authority import authority_files, examine
 from keymint.authority.authority_files import AuthorityFiles
@@ -59,8 +59,7 @@ def plan_authority_issuance(session: Session, name: str, new: AuthorityIssuance,
 _OPTION = "--new-authority"
 
 
-@dataclass(frozen=True, slots=True)
-class MintedAuthority:
+class MintedAuthority(Data):
     """An authority with its certificate; if its private key is here too, it can issue and sign.
 
     Attributes:

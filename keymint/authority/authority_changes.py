@@ -13,7 +13,7 @@ from datetime import datetime
 from cryptography import x509
 
 from comarmor.text import did_you_mean
-from comarmor.values import dataclass, field, replace
+from comarmor.values import Data, field, replace
 from keymint.api import Authority, AuthorityIssuance, Implementation, Validity
 from keymint.authority import authorities, authority_files, examine
 from keymint.authority.authorities import STAGE, authority_named, plan_authorities, plan_authority_issuance
@@ -147,8 +147,7 @@ def plan_import(session: Session, name: str, given: GivenAuthority) -> Plan:
     return replace(plan, steps=(*plan.steps, *((files_step,) if changes else ())), state=state)
 
 
-@dataclass(frozen=True, slots=True)
-class GivenAuthority:
+class GivenAuthority(Data):
     """Files that the user names.
 
     Attributes:
@@ -242,8 +241,7 @@ def plan_encryption(session: Session, name: str) -> Plan:
     return Plan((step,), session.state, (copies,))
 
 
-@dataclass(frozen=True, slots=True, order=True)
-class Use:
+class Use(Data, order=True):
     """What an authority does for some packages.
 
     Attributes:

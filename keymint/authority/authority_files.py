@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from cryptography import x509
 
-from comarmor.values import dataclass, field
+from comarmor.values import Data, field
 from keymint.api import Authority, CertificateSpec, Phase, Rollover
 from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.pki import certificates, distinguished_names, keys
@@ -26,8 +26,7 @@ NEXT, FORMER = "next", "former"
 """Suffixes of the names of keys and lists that are not in force, while the key of an authority is replaced."""
 
 
-@dataclass(frozen=True, slots=True)
-class AuthorityFiles:
+class AuthorityFiles(Data):
     """The files of an authority.
 
     Attributes:

@@ -12,7 +12,7 @@ from typing import NoReturn
 from comarmor.patterns.glob import matches, parse
 from comarmor.patterns.tokens import SPECIAL
 from comarmor.text import did_you_mean, quantity, quote
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.life.terms import DEFAULT, Threshold
 from keymint.names import package_name, subject_of, typed_subject
@@ -43,8 +43,7 @@ def _listed(run: Run, listed: Path) -> tuple[Named, ...]:
     return names
 
 
-@dataclass(frozen=True, slots=True)
-class Names:
+class Names(Data):
     """What a command line names, before it is known what that stands for; false if it names nothing: all packages.
 
     Attributes:

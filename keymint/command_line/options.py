@@ -34,7 +34,7 @@ import click
 
 from comarmor.rules import PERMISSIONS, RAW_PREFIXES
 from comarmor.text import lazy_regex
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.api import GraphSource
 from keymint.api.plugin_loader import Plugins
 from keymint.command_line import named_packages
@@ -92,8 +92,7 @@ distro_option = option(metavar="NAME", help=f"ROS 2 distribution [$ROS_DISTRO, e
 library_option = plugin("keymint.profile_types", default=DEFAULT_PROFILE_TYPE, show_default=True)
 
 
-@dataclass(frozen=True, slots=True)
-class PolicyOptions:
+class PolicyOptions(Data):
     """How to read a policy that lies outside of a workspace; the distribution may be None.
 
     Options:
@@ -195,8 +194,7 @@ valid_for_option = option(type=iso_validity, metavar="PERIOD", help=_TEXTS.get("
 # -- building and installing -----------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class DocumentOptions:
+class DocumentOptions(Data):
     """What shapes the documents of a build; see :class:`keymint.api.BuildOptions`.
 
     Options:

@@ -23,7 +23,7 @@ import click
 from click.core import ParameterSource
 
 from comarmor.text import lazy_regex
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from keymint import SPACES
 from keymint.api.plugin_loader import Plugins
 from keymint.command_line.verb_group import VerbCommand, help_all
@@ -221,8 +221,7 @@ def require_known_plugins(context: click.Context, plugins: Plugins) -> None:
                 plugins.require(kind.group, plugin)
 
 
-@dataclass(frozen=True, slots=True)
-class OptionGroup:
+class OptionGroup(Data):
     """Options whose values reach a verb together, as one argument.
 
     Attributes:

@@ -14,7 +14,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 
 from comarmor.text import natural_order
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.api.graph import DomainObject, Edge, Object
 from keymint.drawing.labelled_graph import LabelledEdge
 
@@ -25,8 +25,7 @@ _Named = tuple[int, tuple[str, ...]]
 """An edge: the number of its form, which is all but the names of robots, and the robots in order, each once."""
 
 
-@dataclass(frozen=True, slots=True)
-class Alike:
+class Alike(Data):
     """Robots, or single subjects, that are equal up to the name.
 
     Attributes:
@@ -40,8 +39,7 @@ class Alike:
     single: bool
 
 
-@dataclass(frozen=True, slots=True)
-class AlikeFold:
+class AlikeFold(Data):
     """A graph of which one robot of each class is drawn.
 
     Attributes:

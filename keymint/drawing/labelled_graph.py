@@ -16,15 +16,14 @@ from typing import NoReturn
 from comarmor.patterns import glob
 from comarmor.rules import PERMISSIONS
 from comarmor.text import did_you_mean, first_few
-from comarmor.values import dataclass, field, replace
+from comarmor.values import Data, field, replace
 from keymint.api import LoadedPolicy, PolicyDecision
 from keymint.api.graph import LABELLED, ConfusionMatrix, Edge, EdgeOutcome, Graph, Object, complete
 from keymint.errors import ExitCode, KeymintError, Origin
 from keymint.names import no_subject, typed_subject
 
 
-@dataclass(frozen=True, slots=True)
-class Label:
+class Label(Data):
     """The decision of a policy or transport on an edge.
 
     Attributes:
@@ -38,8 +37,7 @@ class Label:
     where: Origin | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class LabelledEdge:
+class LabelledEdge(Data):
     """An edge with its labels.
 
     Attributes:
@@ -85,8 +83,7 @@ LeftOut = tuple[EdgeOutcome, str]
 """What an edge that is not drawn is counted by: its outcome, and the kind of its object."""
 
 
-@dataclass(frozen=True, slots=True)
-class LabelledGraph:
+class LabelledGraph(Data):
     """A graph with labels.
 
     Attributes:
@@ -223,8 +220,7 @@ MOST_EDGES = 250_000
 """Maximum number of edges to draw: about 250 MB."""
 
 
-@dataclass(frozen=True, slots=True)
-class DrawnPolicy:
+class DrawnPolicy(Data):
     """A policy to draw, or to label a graph by.
 
     Attributes:

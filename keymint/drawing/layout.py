@@ -15,7 +15,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from itertools import accumulate
 
 from comarmor.text import natural_order
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.api.graph import DomainObject
 from keymint.drawing.appearance import KINDS, columns, shorten
 from keymint.drawing.labelled_graph import LabelledEdge
@@ -40,8 +40,7 @@ _Side = tuple[NodeKey, bool]
 """A node, and whether (True) its edges on this side go right from subject to object."""
 
 
-@dataclass(frozen=True, slots=True)
-class NodeBox:
+class NodeBox(Data):
     """A subject or an object.
 
     Attributes:
@@ -65,8 +64,7 @@ class NodeBox:
     mark: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class EdgeLine:
+class EdgeLine(Data):
     """An edge between its two ports; it leaves and reaches both horizontally.
 
     Attributes:
@@ -84,8 +82,7 @@ class EdgeLine:
     y2: float
 
 
-@dataclass(frozen=True, slots=True)
-class Panel:
+class Panel(Data):
     """The layout of one graph, from (0, 0); in a matrix a line is a point, where the sign of its edge is."""
 
     boxes: tuple[NodeBox, ...]

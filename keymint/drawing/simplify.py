@@ -14,7 +14,7 @@ from enum import StrEnum
 from itertools import chain, islice
 
 from comarmor.rules import PARTS
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.api.graph import DomainObject, Edge, EdgeOutcome, Object
 from keymint.drawing.alike import AlikeFold, fold_alike
 from keymint.drawing.appearance import Theme
@@ -45,8 +45,7 @@ class Split(StrEnum):
     NAMESPACE = "namespace"
 
 
-@dataclass(frozen=True, slots=True)
-class DrawingOptions:
+class DrawingOptions(Data):
     """Options for drawing a graph.
 
     Attributes:
@@ -71,8 +70,7 @@ class DrawingOptions:
     denials: bool = True
 
 
-@dataclass(frozen=True, slots=True)
-class SimplifiedGraph:
+class SimplifiedGraph(Data):
     """The part of a graph that is drawn.
 
     Attributes:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from datetime import datetime
 
-from comarmor.values import dataclass, field
+from comarmor.values import Data, field
 from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.pki import certificates, examine, keys
 from keymint.pki import revocation_lists as crl
@@ -23,8 +23,7 @@ _AUTHORITY = ".cert"
 """What the names of files with certificates have in common, beside that of the enclave's own."""
 
 
-@dataclass(frozen=True, slots=True)
-class Owner:
+class Owner(Data):
     """What the owner of a robot says.
 
     Attributes:
@@ -36,8 +35,7 @@ class Owner:
     new: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Acceptance:
+class Acceptance(Data):
     """What to do with the folder of an enclave.
 
     Attributes:

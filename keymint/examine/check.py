@@ -15,7 +15,7 @@ from itertools import chain
 from typing import Any, TypeVar
 
 from comarmor.text import lazy_regex
-from comarmor.values import dataclass, field, replace
+from comarmor.values import Data, field, replace
 from keymint.api import BuildOptions, BuildType, Inspection, Package
 from keymint.authority.authority_files import elsewhere, trusted_chains
 from keymint.authority.examine import DECIDED_BY_A_PERSON
@@ -41,8 +41,7 @@ Inspections = Mapping[str, tuple[BuildType, Inspection]]
 """What each build type of a package sees of its enclave."""
 
 
-@dataclass(frozen=True, slots=True)
-class LoadedEnclave:
+class LoadedEnclave(Data):
     """A package, and the files of its enclave.
 
     Attributes:

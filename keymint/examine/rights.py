@@ -21,7 +21,7 @@ from keymint.authority import authority_files
 from keymint.authority.authority_files import chains_digest
 from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.examine.weaknesses import signing_issuers
-from keymint.ir import DeferredRules, Rule, SubjectRules
+from keymint.ir import Rule, SubjectRules
 from keymint.life.examine import excess_of, outliving_rights
 from keymint.life.register import register_error
 from keymint.life.workspace_register import has_register, issuer_of, register_of
@@ -266,7 +266,7 @@ def _holders(session: Session, policy: api.LoadedPolicy, packages: Mapping[str, 
         package = by_name.get(name)
         subject = package.subject if package else _common_name(name)
         distro = package.distro if package else session.profile.distro
-        rules = DeferredRules(subject, partial(_rules, policy, subject))
+        rules = SubjectRules(subject, partial(_rules, policy, subject))
         # A subject whose package is gone has the rights that the policy gives it wherever others have theirs.
         yield api.Holder(subject, name, end, rules, distro, package.grant.domains if package else everywhere)
 

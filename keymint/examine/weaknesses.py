@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.authority.authority_changes import uses
 from keymint.authority.authority_files import read_files
 from keymint.errors import Diagnostic
@@ -25,8 +25,7 @@ class Weakness(StrEnum):
     """The certificate of an authority lacks its key identifier or the permission to sign revocation lists."""
 
 
-@dataclass(frozen=True, slots=True)
-class OpenStep:
+class OpenStep(Data):
     """A step that is open.
 
     Attributes:

@@ -8,7 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from comarmor.text import lazy_regex
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.api import EnvironmentVariable
 
 MARK = "# Written by Keymint."
@@ -19,8 +19,7 @@ _PLAIN = lazy_regex(r"[A-Za-z0-9_./][A-Za-z0-9_./:+-]*")
 _FOLDER = "_keymint_keystore"
 
 
-@dataclass(frozen=True, slots=True)
-class Shell:
+class Shell(Data):
     """The syntax of a shell; by default that of POSIX.
 
     Attributes:

@@ -13,14 +13,13 @@ from collections.abc import Iterable
 from comarmor.patterns.glob import Glob, literal, matcher
 from comarmor.patterns.relations import TooComplexError, covers, disjoint, intersection, maximal
 from comarmor.patterns.steps import spend
-from comarmor.values import dataclass
+from comarmor.values import Data
 
 MAX_PIECES = 1000
 """Most patterns of early rules: a handshake could not carry a larger document."""
 
 
-@dataclass(frozen=True, slots=True)
-class Arrangement:
+class Arrangement(Data):
     """A decision list: allow ``free``, then deny ``deny``, then allow ``rest``.
 
     Attributes:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 
 from comarmor.text import did_you_mean, quantity
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from keymint.api import Issuance
 from keymint.errors import Diagnostic, KeymintError
 from keymint.life.register import SUPERSEDED, IssuedCertificate, Register
@@ -78,8 +78,7 @@ def _defects(session: Session, name: str, new: Issuance) -> Iterator[Diagnostic]
 STAGE = "revoke"
 
 
-@dataclass(frozen=True, slots=True)
-class Revoking:
+class Revoking(Data):
     """What a revocation does.
 
     Attributes:

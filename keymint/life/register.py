@@ -16,7 +16,7 @@ from dataclasses import Field, fields
 from datetime import UTC, datetime
 from typing import Any
 
-from comarmor.values import dataclass, field, replace
+from comarmor.values import Data, field, replace
 from keymint.errors import KeymintError, Origin
 
 SUPERSEDED = "superseded"
@@ -26,8 +26,7 @@ REASONS = (SUPERSEDED, "key-compromise", "retired", "affiliation-changed", "priv
 """Reasons of a revocation (RFC 5280, 5.3.1); ``retired`` is its cessationOfOperation."""
 
 
-@dataclass(frozen=True, slots=True)
-class IssuedCertificate:
+class IssuedCertificate(Data):
     """A certificate that was issued, and the rights that were signed for it last.
 
     Attributes:
@@ -59,8 +58,7 @@ class IssuedCertificate:
     issued: datetime | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class SignedRights:
+class SignedRights(Data):
     """A document that was signed: whoever has a certificate for its name may present it until it ends.
 
     Attributes:
@@ -106,8 +104,7 @@ _MOST = 64 << 20
 """Largest signed document in bytes that is read."""
 
 
-@dataclass(frozen=True)
-class Register:
+class Register(Data, slots=False):
     """All issued certificates in the order of their issue, and the number of the last revocation list of each issuer.
 
     Attributes:
@@ -258,7 +255,7 @@ _COLUMNS: Mapping[str, tuple[str, Any]] = {
     "datetime | None": ("TEXT", str | None),
 }
 """The column of a field by its type, and the type of what is stored."""
-_TABLES = {"certificates": IssuedCertificate, "rights": SignedRights}
+_TABLES: Mapping[str, type[Any]] = {"certificates": IssuedCertificate, "rights": SignedRights}
 """Tables with a column for each field, in their order."""
 _NUMBERED = ("lists", "bundles")
 

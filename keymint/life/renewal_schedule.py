@@ -12,7 +12,7 @@ from datetime import datetime
 
 from cryptography import x509
 
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from keymint.api import Issuance, Validity
 from keymint.authority.authority_files import in_order, with_issuers
 from keymint.errors import Defects
@@ -104,8 +104,7 @@ def _matters_from(session: Session, term: Term, threshold: Threshold) -> datetim
     return term.renew_after(threshold) if 2 * term.length >= length else term.first
 
 
-@dataclass(frozen=True, slots=True)
-class Due:
+class Due(Data):
     """An enclave to renew, or the list of an authority to issue again, and why.
 
     Attributes:
@@ -119,8 +118,7 @@ class Due:
     after: datetime | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class AuthorityDue:
+class AuthorityDue(Data):
     """An authority that a person must renew: what it signs ends with it, or it ends soon itself.
 
     Attributes:
@@ -136,8 +134,7 @@ class AuthorityDue:
     issuers: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Schedule:
+class Schedule(Data):
     """What is due now, and what is next.
 
     Attributes:

@@ -13,7 +13,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from functools import lru_cache
 
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from keymint.api import Package, Validity, ValidityTerm
 from keymint.authority.authority_files import with_issuers
 from keymint.errors import Diagnostic, Origin, Severity
@@ -30,8 +30,7 @@ _HELP_BY_CODE = {
 _LATER = "compare the clock of this machine, or let it begin earlier"
 
 
-@dataclass(frozen=True, slots=True)
-class Threshold:
+class Threshold(Data):
     """When something is due for renewal.
 
     Attributes:
@@ -56,8 +55,7 @@ DEFAULT = Threshold()
 """Two thirds of the validity, as ``step ca renew`` has it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Term:
+class Term(Data):
     """When one document of an enclave is in force.
 
     Attributes:

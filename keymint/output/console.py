@@ -15,7 +15,7 @@ from operator import attrgetter
 from typing import IO, Any, TypeVar
 
 from comarmor.text import encodable_value, natural_order, one_line, printable_lines, quantity
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from keymint.errors import Diagnostic, ExitCode, Severity
 from keymint.host.streams_and_signals import Output
 from keymint.output.report import Report, report_json, rolled_up
@@ -33,8 +33,7 @@ _PROGRESS_AFTER = 1.0
 """Seconds of work before a progress bar appears."""
 
 
-@dataclass(frozen=True, slots=True)
-class Streams:
+class Streams(Data):
     """The output streams of a run.
 
     Attributes:

@@ -7,14 +7,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from comarmor.text import lazy_regex
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.api.xml_templates import xml_document
 
 _CONTROL = lazy_regex(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
-@dataclass(frozen=True, slots=True)
-class JUnitCase:
+class JUnitCase(Data):
     """A test case.
 
     Attributes:

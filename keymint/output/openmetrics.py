@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
 
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.life.renewal_schedule import CERTIFICATE, LIST, PERMISSIONS, authority_ends, authority_renewals
 from keymint.names import subject_of
 from keymint.stages.package_status import StatusRow
@@ -15,8 +15,7 @@ from keymint.workspace.session import Session
 _ESCAPED = str.maketrans({"\\": "\\\\", '"': '\\"', "\n": "\\n"})
 
 
-@dataclass(frozen=True, slots=True)
-class Gauge:
+class Gauge(Data):
     """A gauge with its values.
 
     Attributes:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from comarmor.text import lazy_regex
-from comarmor.values import dataclass, field, replace
+from comarmor.values import Data, field, replace
 from keymint.errors import Diagnostic, ExitCode, Severity
 from keymint.store.changes import Step
 from keymint.workspace.workspace import Workspace
@@ -24,8 +24,7 @@ _NAMES = lazy_regex(r"(?:(?:'[^']*'|\S*[/\d]\S*)[,;]?\s*)+")
 _T = TypeVar("_T", Diagnostic, Step, str)
 
 
-@dataclass(frozen=True, slots=True)
-class Report:
+class Report(Data):
     """The outcome of a verb.
 
     Attributes:

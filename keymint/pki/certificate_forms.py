@@ -15,7 +15,7 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.x509.oid import ExtendedKeyUsageOID, ExtensionOID
 
 from comarmor.text import quote
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.api import CertificateSpec, Validity
 from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.pki import der, distinguished_names, extensions, keys
@@ -35,8 +35,7 @@ _SIGNS_DOCUMENTS = (ExtendedKeyUsageOID.EMAIL_PROTECTION, ExtendedKeyUsageOID.AN
 _Values = dict[x509.ObjectIdentifier, tuple[bool, x509.ExtensionType]]
 
 
-@dataclass(frozen=True, slots=True)
-class Form:
+class Form(Data):
     """All fields of a certificate to issue, except its serial number; and a warning if its validity was cut."""
 
     subject: x509.Name

@@ -15,7 +15,7 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from comarmor.text import lazy_regex, quote
-from comarmor.values import dataclass, field
+from comarmor.values import Data, field
 from keymint.api import CertificateSpec
 from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.pki import certificate_forms, der, distinguished_names, extensions, keys
@@ -44,16 +44,14 @@ _BLOCK = lazy_regex(rb"^-----BEGIN (%b|%b)-----\n[^-]*^-----END \1-----$" % (_CE
 """A certificate, or a revocation list, which may follow the certificates of authorities in their file."""
 
 
-@dataclass(frozen=True, slots=True)
-class Issuer:
+class Issuer(Data):
     """An authority with its private key, which issues certificates and signs documents."""
 
     certificate: x509.Certificate
     key: keys.PrivateKey = field(repr=False)
 
 
-@dataclass(frozen=True, slots=True)
-class Issued:
+class Issued(Data):
     """An issued certificate: as an object and as PEM, with its diagnostics."""
 
     certificate: x509.Certificate

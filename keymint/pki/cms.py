@@ -15,7 +15,7 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
 
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.pki import der
 from keymint.pki.keys import PrivateKey, PublicKey, signature_over, verifies
 
@@ -32,8 +32,7 @@ def _algorithm(dotted: str) -> tuple[bytes, bytes]:
     return der.tlv(der.SEQUENCE, identifier, der.tlv(der.NULL)), der.tlv(der.SEQUENCE, identifier)
 
 
-@dataclass(frozen=True, slots=True)
-class _Digest:
+class _Digest(Data):
     """A digest, and the encodings of its AlgorithmIdentifier alone and with ECDSA."""
 
     algorithm: hashes.SHA256 | hashes.SHA384 | hashes.SHA512
@@ -51,8 +50,7 @@ _DIGESTS = {
 _RSA = _algorithm("1.2.840.113549.1.1.1")
 
 
-@dataclass(frozen=True, slots=True)
-class Signature:
+class Signature(Data):
     """The parts of a signature.
 
     Attributes:

@@ -12,7 +12,7 @@ from cryptography import x509
 from cryptography.x509.oid import AuthorityInformationAccessOID, ExtendedKeyUsageOID, ExtensionOID
 
 from comarmor.text import did_you_mean, lazy_regex, quote
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.api import Extension
 from keymint.errors import KeymintError
 from keymint.pki import der
@@ -24,8 +24,7 @@ _Reader = Callable[[str, "Context"], x509.ExtensionType | None]
 """Returns the value of an extension for its text; None: omit the extension."""
 
 
-@dataclass(frozen=True, slots=True)
-class Context:
+class Context(Data):
     """The data that an extension may depend on: the subject's public key, and the issuer (None if self-signed)."""
 
     public_key: PublicKey

@@ -15,7 +15,7 @@ from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.serialization import Encoding
 
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.errors import KeymintError, Origin
 from keymint.pki import certificates, extensions, periods
 from keymint.pki.certificates import Issuer
@@ -32,8 +32,7 @@ _FLAGS: Mapping[str, x509.ReasonFlags | None] = {
 _LAST = datetime.max.replace(tzinfo=UTC) - timedelta(seconds=1)
 
 
-@dataclass(frozen=True, slots=True)
-class Revocation:
+class Revocation(Data):
     """A revoked serial number, when it was revoked (UTC), and why: a reason of RFC 5280, 5.3.1."""
 
     serial: int
@@ -41,8 +40,7 @@ class Revocation:
     reason: str
 
 
-@dataclass(frozen=True, slots=True)
-class RevocationList:
+class RevocationList(Data):
     """A revocation list.
 
     Attributes:

@@ -50,7 +50,7 @@ from typing import NoReturn
 from cryptography import x509
 
 from comarmor.text import lazy_regex
-from comarmor.values import dataclass, field
+from comarmor.values import Data, field
 from keymint import api
 from keymint.errors import KeymintError, Origin
 from keymint.pki import certificates, cms, der, examine, keys
@@ -108,8 +108,7 @@ _MICALG_LINE = 2
 _NAMELESS = Origin("document")
 
 
-@dataclass(frozen=True, slots=True)
-class SignedDocument:
+class SignedDocument(Data):
     """The parts of a signed file. Only :func:`read` returns one with a verified signature.
 
     Attributes:

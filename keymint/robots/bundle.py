@@ -27,7 +27,7 @@ from typing import Any
 from cryptography import x509
 
 from comarmor.text import lazy_regex
-from comarmor.values import dataclass, field, replace
+from comarmor.values import Data, field, replace
 from keymint.errors import KeymintError, Origin
 from keymint.names import name_of, package_name, subject_of
 from keymint.pki import certificates, cms, extensions
@@ -54,8 +54,7 @@ _FOLDER = lazy_regex(r"(?:[A-Za-z0-9][A-Za-z0-9_-]{0,99})?")
 _LIST = b"-----BEGIN X509 CRL-----"
 
 
-@dataclass(frozen=True, slots=True)
-class Manifest:
+class Manifest(Data):
     """What a bundle is for.
 
     Attributes:
@@ -90,8 +89,7 @@ class Manifest:
         return name_of(self.enclave)
 
 
-@dataclass(frozen=True, slots=True)
-class Bundle:
+class Bundle(Data):
     """A bundle that is whole, and signed by the authority that it names.
 
     Attributes:

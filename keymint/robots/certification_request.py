@@ -18,7 +18,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.x509.oid import AttributeOID, NameOID
 
 from comarmor.text import lazy_regex, quote
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.errors import KeymintError, Origin
 from keymint.names import package_name, subject_of
 from keymint.pki import certificates, cms, der, keys
@@ -36,8 +36,7 @@ _FILE = lazy_regex(
 _UNREADABLE = (ValueError, TypeError, UnsupportedAlgorithm, x509.InvalidVersion, x509.AttributeNotFound)
 
 
-@dataclass(frozen=True, slots=True)
-class CertificationRequest:
+class CertificationRequest(Data):
     """A request whose signatures were verified.
 
     Attributes:

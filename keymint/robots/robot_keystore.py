@@ -13,7 +13,7 @@ from pathlib import Path
 
 from cryptography import x509
 
-from comarmor.values import dataclass, field
+from comarmor.values import Data, field
 from keymint.errors import KeymintError, Origin
 from keymint.names import ROOT
 from keymint.pki import certificates
@@ -30,16 +30,14 @@ ENCLAVES = ("enclaves", "")
 _REQUEST = "request.pem"
 
 
-@dataclass(frozen=True, slots=True)
-class Pending:
+class Pending(Data):
     """A request that waits for its answer: the request, and its private key (PEM) unless the enclave has it."""
 
     request: CertificationRequest
     key: bytes = field(default=b"", repr=False)
 
 
-@dataclass(frozen=True, slots=True)
-class Present:
+class Present(Data):
     """What a keystore has, as far as it matters to one enclave.
 
     Attributes:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from comarmor.text import lazy_regex
-from comarmor.values import dataclass, field, replace
+from comarmor.values import Data, field, replace
 from keymint import SPACES
 from keymint.api import Environment, lazy
 from keymint.api.plugin_loader import Plugins
@@ -42,8 +42,7 @@ if TYPE_CHECKING:
 _pool = lazy("keymint.host.pool:Pool")  # few runs divide work so
 
 
-@dataclass(frozen=True, slots=True)
-class Setting:
+class Setting(Data):
     """The environment of a run: clock, folders, streams.
 
     Attributes:

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from datetime import datetime
 from enum import StrEnum
 
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from keymint.authority.authorities import Authorities
 from keymint.errors import KeymintError
 from keymint.life.register import IssuedCertificate, SignedRights
@@ -33,8 +33,7 @@ class Part(StrEnum):
     SIGNED = "signed document"
 
 
-@dataclass(frozen=True, slots=True)
-class OwnFile:
+class OwnFile(Data):
     """A file of which each member has its own.
 
     Attributes:
@@ -48,8 +47,7 @@ class OwnFile:
     signer: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class EnclaveForm:
+class EnclaveForm(Data):
     """What the new enclaves of a kind have in common.
 
     Attributes:

@@ -7,7 +7,7 @@ import contextlib
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from datetime import datetime
 
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.api import BuildOptions, LoadedPolicy, Role
 from keymint.authority import authorities
 from keymint.errors import Defects, Diagnostic, KeymintError
@@ -25,8 +25,7 @@ from keymint.workspace.package_build_types import BUILD, is_build_current, recor
 from keymint.workspace.session import Session
 
 
-@dataclass(frozen=True, slots=True)
-class StatusRow:
+class StatusRow(Data):
     """The status of one package, or of the documents over all packages of a build type.
 
     Attributes:

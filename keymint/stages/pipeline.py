@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
-from comarmor.values import dataclass, field, replace
+from comarmor.values import Data, field, replace
 from keymint.api import LoadedPolicy, Role, lazy
 from keymint.authority.authorities import Authorities, plan_authorities
 from keymint.authority.authority_files import current_rollover, trusted_chains
@@ -55,8 +55,7 @@ _Stages = Mapping[str, Callable[..., Any]]
 """What makes each stage for a workspace, by its name."""
 
 
-@dataclass(frozen=True, slots=True)
-class Request:
+class Request(Data):
     """What is different between the runs that go through the stages.
 
     Attributes:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from comarmor.text import quantity
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from keymint.api import Phase
 from keymint.authority import rollover
 from keymint.authority.authorities import Authorities, authority_named, plan_authorities
@@ -160,8 +160,7 @@ _NEXT = {Phase.DISTRIBUTE: Phase.REISSUE, Phase.REISSUE: Phase.END, Phase.STAGE:
 """The phase that follows each."""
 
 
-@dataclass(frozen=True, slots=True)
-class PhaseRequest:
+class PhaseRequest(Data):
     """What the user asks for.
 
     Attributes:

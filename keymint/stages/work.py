@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import reduce
 from typing import Any, Self
 
-from comarmor.values import dataclass, field, replace
+from comarmor.values import Data, field, replace
 from keymint.api import Artifact, BuildOptions, LoadedPolicy, Package
 from keymint.authority.examine import contradictions
 from keymint.errors import Diagnostic, KeymintError
@@ -28,8 +28,7 @@ from keymint.workspace.session import Inputs, Session
 from keymint.workspace.stored_keys import IDENTITY_KEYS, with_recorded_keys
 
 
-@dataclass(frozen=True, slots=True)
-class InstallRequest:
+class InstallRequest(Data):
     """What a run that installs is asked for; all that conducts the stages gets the whole of it.
 
     Attributes:
@@ -59,8 +58,7 @@ class InstallRequest:
         return replace(self, new_authority=(), rekey=frozenset()) if resumes else self
 
 
-@dataclass(frozen=True, slots=True)
-class PackagePlan:
+class PackagePlan(Data):
     """What a stage plans for one package, or the errors that prevent it.
 
     Attributes:
@@ -132,8 +130,7 @@ class Forms:
             del self._first[key]
 
 
-@dataclass(slots=True)
-class NewPackage:
+class NewPackage(Data, frozen=False):
     """A package of which nothing is there, on its way through the stages; each sets what the next ones need.
 
     Attributes:
@@ -309,8 +306,7 @@ def session_after(session: Session, stage: str, planned: Sequence[PackagePlan]) 
     return session.after(Plan(steps_of(planned), state_after(session.state, stage, planned)))
 
 
-@dataclass(frozen=True, slots=True)
-class Work:
+class Work(Data):
     """What is planned so far, and the workspace as it will be once that is carried out.
 
     This is the only place that adds a plan to others and takes it into account for those that follow.

@@ -9,7 +9,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from comarmor.errors import Diagnostic
-from comarmor.values import dataclass, field, replace
+from comarmor.values import Data, field, replace
 from keymint.view.stamps import NO_STAMP, State
 from keymint.view.tree import Content, File, HeldPackage, Tree
 
@@ -31,8 +31,7 @@ def file_mode(*, secret: bool) -> int:
     return 0o600 if secret else 0o644
 
 
-@dataclass(frozen=True, slots=True)
-class FolderChange:
+class FolderChange(Data):
     """Files to write into one folder, and names to remove from it.
 
     Attributes:
@@ -97,8 +96,7 @@ def by_folder(root: Path, files: Mapping[str, File]) -> dict[Path, dict[str, Fil
     return folders
 
 
-@dataclass(frozen=True, slots=True)
-class DocumentSize:
+class DocumentSize(Data):
     """Bytes of a document that was rewritten into a smaller one, and of the plain document."""
 
     file: str
@@ -123,8 +121,7 @@ class HeldChanges(HeldPackage):
         return len(self.places)
 
 
-@dataclass(frozen=True, slots=True)
-class Step:
+class Step(Data):
     """What one stage does for one package, or for the workspace as a whole (empty name).
 
     Attributes:
@@ -148,8 +145,7 @@ class Step:
         return isinstance(self.changes, HeldChanges) or any(each.written or each.removed for each in self.changes)
 
 
-@dataclass(frozen=True, slots=True)
-class Plan:
+class Plan(Data):
     """All steps of a run, its diagnostics, and the record to keep when it is done.
 
     Attributes:

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from keymint.errors import Diagnostic, KeymintError
 from keymint.names import subject_list, subject_of
 from keymint.store.file_writing import check_component
@@ -40,8 +40,7 @@ _MOST_FILES = 100_000
 """Files of a folder whose size and time are compared."""
 
 
-@dataclass(frozen=True, slots=True)
-class Journal:
+class Journal(Data):
     """What a run was asked for, and how far it came if it did not come to its end.
 
     Attributes:

@@ -19,7 +19,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from importlib import import_module
 from typing import Any, NoReturn
 
-from comarmor.values import dataclass, field
+from comarmor.values import Data, field
 from keymint.store import file_writing
 from keymint.store.changes import File, FolderChange
 from keymint.store.file_writing import FILE, FOLDER, NEW_FILE, open_at, reported, temporary
@@ -33,8 +33,7 @@ NOT_EMPTY = {errno.EEXIST, errno.ENOTEMPTY}
 """Errors of renaming onto a folder that is not empty, or of removing it (POSIX allows either)."""
 
 
-@dataclass(frozen=True, slots=True)
-class Exchange:
+class Exchange(Data):
     """A name that changes.
 
     Attributes:
@@ -60,8 +59,7 @@ class Exchange:
     size: int = 0
 
 
-@dataclass(slots=True)
-class FolderContent:
+class FolderContent(Data, frozen=False):
     """The new content of a folder and its subfolders.
 
     Attributes:

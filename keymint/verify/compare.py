@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import chain, groupby
 from operator import and_, attrgetter
 
-from comarmor.values import dataclass, field, replace
+from comarmor.values import Data, field, replace
 from keymint.api import InstalledEnclave, Tier, Transport, Verdict
 from keymint.api.graph import ConfusionMatrix, Edge
 from keymint.errors import KeymintError
@@ -32,8 +32,7 @@ Explain = Callable[[str, InstalledEnclave, list[tuple[Edge, Verdict]]], list[Mis
 """Returns the mismatches of one enclave, given the name of the transport and the edges with its verdicts."""
 
 
-@dataclass(frozen=True, slots=True)
-class Asking:
+class Asking(Data):
     """How to ask transports.
 
     Attributes:
@@ -49,8 +48,7 @@ class Asking:
     tally: Tally | None = None
 
 
-@dataclass(slots=True, eq=False)
-class TransportComparison:
+class TransportComparison(Data, frozen=False, eq=False):
     """Compares one transport with the policy.
 
     Args:

@@ -12,7 +12,7 @@ import tempfile
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from keymint.api import InstalledEnclave, Transport, Verdict
 from keymint.errors import Diagnostic, KeymintError
 from keymint.view.tree import Tree
@@ -21,8 +21,7 @@ _KEY = "key.pem"
 """How the names of private keys end, whatever is in them."""
 
 
-@dataclass(frozen=True, slots=True)
-class Copies:
+class Copies(Data):
     """Copies of enclaves.
 
     Attributes:

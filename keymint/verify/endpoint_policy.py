@@ -15,15 +15,14 @@ from functools import lru_cache
 
 from comarmor.patterns import glob
 from comarmor.patterns.glob import matcher
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from keymint.api import LoadedPolicy, NameMapping, PolicyDecision
 from keymint.api.graph import Column, Edge
 
 RAW = "topic"
 
 
-@dataclass(frozen=True, slots=True)
-class Naming:
+class Naming(Data):
     """The mapping of a subject's ROS names to names of its transport, for one distribution."""
 
     mapping: NameMapping
@@ -38,8 +37,7 @@ class Naming:
         return self.mapping.meanings(self.distro, endpoint)
 
 
-@dataclass(frozen=True, slots=True)
-class EdgeRow:
+class EdgeRow(Data):
     """The edges of a subject: each request of a column."""
 
     subject: str
@@ -70,8 +68,7 @@ def labelled_rows(rows: Iterable[EdgeRow], labels: bytes | bytearray) -> Iterato
         begin += len(row)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MappedColumn:
+class MappedColumn(Data, eq=False):
     """The endpoints of the requests of a column.
 
     Attributes:

@@ -6,14 +6,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.api import PolicyDecision, Tier, Verdict
 from keymint.api.graph import ConfusionMatrix, Edge, EdgeOutcome
 from keymint.errors import Origin
 
 
-@dataclass(frozen=True, slots=True)
-class Mismatch:
+class Mismatch(Data):
     """An edge that a transport labels differently from the policy, with the reason.
 
     Attributes:
@@ -38,8 +37,7 @@ class Mismatch:
         return EdgeOutcome.FALSE_POSITIVE if self.verdict.allowed else EdgeOutcome.FALSE_NEGATIVE
 
 
-@dataclass(frozen=True, slots=True)
-class EdgeComparison:
+class EdgeComparison(Data):
     """The comparison of one transport with the policy.
 
     Attributes:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from comarmor.text import did_you_mean
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from keymint.api import BuildType, InstalledEnclave, LoadedPolicy, Package, Role, Transport
 from keymint.api.graph import LABELLED, Column, Edge, Graph, Object, column
 from keymint.errors import KeymintError
@@ -43,8 +43,7 @@ def has_name(build_type: BuildType, distro: str, object_: Object) -> bool:
     return bool(actions) or not build_type.NOUN
 
 
-@dataclass(frozen=True, slots=True)
-class VerificationScope:
+class VerificationScope(Data):
     """The scope of a verification for one build type.
 
     Attributes:

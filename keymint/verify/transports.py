@@ -6,7 +6,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from keymint.api import Availability, InstalledEnclave, Tier, Transport, Verdict
 from keymint.api.graph import Edge
 from keymint.api.plugin_loader import Plugins
@@ -92,8 +92,7 @@ def models(plugins: Plugins, build_type: str, *, distro: str = "") -> dict[str, 
 _VERSION = re.compile(r"-[\d.]+$")
 
 
-@dataclass(frozen=True, slots=True)
-class Explainer:
+class Explainer(Data):
     """Explains the labels of transports; a real one is explained by its simulation.
 
     Attributes:

@@ -11,7 +11,7 @@ from dataclasses import astuple
 from functools import cache, partial
 from itertools import chain
 
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from keymint.api import InstalledEnclave, LoadedPolicy, PolicyDecision, Tier, Transport
 from keymint.api.graph import ConfusionMatrix, Edge, Graph, Object
 from keymint.api.plugin_loader import Plugins
@@ -27,8 +27,7 @@ LEAST = 150_000
 """Edges, times models, for which a process of its own is worth its start."""
 
 
-@dataclass(frozen=True, slots=True)
-class Verification:
+class Verification(Data):
     """The transports of one build type, compared with the policy.
 
     Attributes:
@@ -52,8 +51,7 @@ class Verification:
         return chain.from_iterable(self.rows())
 
 
-@dataclass(frozen=True, slots=True)
-class VerificationPart:
+class VerificationPart(Data):
     """Some subjects to verify.
 
     Attributes:

@@ -10,7 +10,7 @@ from comarmor.patterns import glob
 from comarmor.patterns.expression import matches, rule_matches, rule_matches_partition
 from comarmor.rules import Effect, parts
 from comarmor.text import nearest_word
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint import api
 from keymint.api.graph import Edge, Object
 from keymint.errors import KeymintError, Origin, usage_error
@@ -27,8 +27,7 @@ from keymint.workspace.session import Session
 from keymint.workspace.workspace import packages
 
 
-@dataclass(frozen=True, slots=True)
-class Explanation:
+class Explanation(Data):
     """The decision of every layer on a request.
 
     Attributes:
@@ -149,8 +148,7 @@ def explain(
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _View:
+class _View(Data):
     """A request as a build type sees it.
 
     Attributes:
@@ -225,8 +223,7 @@ def _applies(rule: Rule, edge: Edge) -> bool:
     ) and any(rule_matches_partition(rule, partition) for partition in edge.object.partitions or ("",))
 
 
-@dataclass(frozen=True, slots=True)
-class MatchedRule:
+class MatchedRule(Data):
     """A rule that applies to a request, its place, and a note if it only nearly applies."""
 
     rule: Rule

@@ -29,7 +29,7 @@ from operator import attrgetter
 from typing import Any, NamedTuple
 
 from comarmor.text import lazy_regex
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint import __version__
 from keymint.view.stamps import one_of, sealed_document, unsealed_document
 
@@ -56,8 +56,7 @@ _WHOLE = "provision"
 _STATUS = attrgetter("st_mode", "st_uid", "st_gid", "st_size", "st_mtime_ns", "st_ctime_ns", "st_ino", "st_dev")
 
 
-@dataclass(frozen=True, slots=True)
-class Call:
+class Call(Data):
     """A command, and where it is given.
 
     Attributes:
@@ -83,8 +82,7 @@ class Call:
     user_defaults: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Answer:
+class Answer(Data):
     """What a command will print if nothing changes.
 
     Attributes:
@@ -469,8 +467,7 @@ def folder_status(
     return FolderStatus(_digest([owner, *map(files.__getitem__, names)]), newest, names, tuple(sorted(folders)))
 
 
-@dataclass(frozen=True, slots=True)
-class Sight:
+class Sight(Data):
     """The folders of a workspace as they are before a run reads a file.
 
     Attributes:

@@ -14,7 +14,7 @@ import json
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple, TypeVar, cast
 
-from comarmor.values import dataclass, field
+from comarmor.values import Data, field
 
 _V = TypeVar("_V")
 
@@ -61,8 +61,7 @@ def digest_files(files: Mapping[str, bytes]) -> str:
     return digest(*(part for name in sorted(files) for part in (name, files[name])))
 
 
-@dataclass(frozen=True, slots=True)
-class Stamp:
+class Stamp(Data):
     """A stage's result for one package.
 
     Attributes:
@@ -204,8 +203,7 @@ class Stamps(Mapping[str, Stamp]):
         return hash(frozenset(self.rows))
 
 
-@dataclass(frozen=True, slots=True)
-class State:
+class State(Data):
     """All stamps of a workspace, by ``stage`` and package name.
 
     Attributes:

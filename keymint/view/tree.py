@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from comarmor.values import dataclass, field
+from comarmor.values import Data, field
 from keymint.errors import KeymintError
 from keymint.view import file_reading
 from keymint.view.file_reading import (
@@ -38,8 +38,7 @@ _Read = TypeVar("_Read")
 _FEW = 4
 
 
-@dataclass(frozen=True, slots=True)
-class File:
+class File(Data):
     """A file to write.
 
     Attributes:

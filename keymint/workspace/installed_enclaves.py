@@ -12,7 +12,7 @@ from pathlib import Path
 
 from cryptography import x509
 
-from comarmor.values import dataclass, field, replace
+from comarmor.values import Data, field, replace
 from keymint.api import Artifact, BuildType
 from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.host.shells import MARK
@@ -218,8 +218,7 @@ def has_outputs(inputs: Inputs, folder: str, stamp: Stamp) -> bool:
 # -- changes -----------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class EnclaveChanges:
+class EnclaveChanges(Data):
     """What a run does to the enclaves.
 
     Attributes:

@@ -7,7 +7,7 @@ import functools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from comarmor.xml.package_folders import CopiedPackages, PackageFolders
 from keymint.api import AppliedProfile, LoadedPolicy, PolicyDecision, PolicyStructure
 from keymint.api.graph import Edge
@@ -242,8 +242,7 @@ class _LazyPolicy(LoadedPolicy):
         return self._load().decide(edge)
 
 
-@dataclass(frozen=True, slots=True)
-class ForeignPolicy:
+class ForeignPolicy(Data):
     """A file that a policy type recognises.
 
     Attributes:

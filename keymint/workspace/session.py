@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
 from comarmor.text import did_you_mean
-from comarmor.values import dataclass, field, replace
+from comarmor.values import Data, field, replace
 from keymint import __version__
 from keymint.api import (
     BuildType,
@@ -66,8 +66,7 @@ def once_of_sources(make: Callable[Concatenate[Session, _P], _T]) -> Callable[Co
     return once(make, of_sources=True)
 
 
-@dataclass(frozen=True, slots=True)
-class Inputs:
+class Inputs(Data):
     """Everything that a stage may read, before the profile is loaded.
 
     Attributes:
@@ -136,8 +135,7 @@ class Inputs:
         return next(filter(None, found), "")
 
 
-@dataclass(frozen=True, slots=True)
-class Session(Inputs):
+class Session(Inputs, Data):
     """The inputs together with the loaded profile and the source packages.
 
     Attributes:

@@ -10,7 +10,7 @@ from itertools import accumulate, permutations
 from pathlib import Path
 
 from comarmor.text import quote
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from keymint import SPACES
 from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin
 from keymint.names import RESERVED, package_name
@@ -28,8 +28,7 @@ GITIGNORE = ".gitignore"
 _IGNORES_ALL = b"# Secrets, or files that Keymint can make again: none of them belongs into git.\n*\n"
 
 
-@dataclass(frozen=True, slots=True)
-class Workspace:
+class Workspace(Data):
     """Absolute paths of a workspace and its spaces.
 
     Attributes:

@@ -14,7 +14,6 @@ from typing import Any
 import comarmor
 from comarmor.language.policy import Ruling
 from comarmor.rules import Effect
-from comarmor.values import dataclass, field
 from comarmor.xml.package_folders import ShippedFile
 from keymint.api import AppliedProfile, LoadedPolicy, PolicyDecision, PolicyStructure, WrittenProfile, WrittenRule
 from keymint.api.graph import Edge
@@ -25,14 +24,19 @@ _MOST_KNOWN = 1 << 10
 """Subjects whose rules, with what is known of these, are kept for all stages."""
 
 
-@dataclass(frozen=True, slots=True)
 class ComArmorPolicy(LoadedPolicy):
     """A loaded ComArmor policy."""
 
-    policy: comarmor.Policy
-    findings: Sequence[Diagnostic] = ()
-    _structure: list[PolicyStructure] = field(default_factory=list, init=False, repr=False, compare=False)
-    _known: dict[str, SubjectRules] = field(default_factory=dict, init=False, repr=False, compare=False)
+    def __init__(self, policy: comarmor.Policy, findings: Sequence[Diagnostic] = ()) -> None:
+        self.policy = policy
+        self._findings = findings
+        self._structure: PolicyStructure | None = None
+        self._known: dict[str, SubjectRules] = {}
+
+    @property
+    def findings(self) -> Sequence[Diagnostic]:
+        """See :attr:`keymint.api.LoadedPolicy.findings`."""
+        return self._findings
 
     @property
     def seen(self) -> Mapping[Path, bytes]:
@@ -73,9 +77,9 @@ class ComArmorPolicy(LoadedPolicy):
 
     def structure(self) -> PolicyStructure:
         """Return the structure of the policy, which is made once."""
-        if not self._structure:
-            self._structure.append(structure(self.policy))  # a cache of the function would keep the policy
-        return self._structure[0]
+        if self._structure is None:  # a cache of the function would keep the policy
+            self._structure = structure(self.policy)
+        return self._structure
 
     def decide(self, edge: Edge) -> PolicyDecision:
         """See :meth:`keymint.api.LoadedPolicy.decide`."""

@@ -11,7 +11,7 @@ from collections.abc import Collection, Mapping
 from lxml import etree
 
 from comarmor.text import did_you_mean, lazy_regex
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from comarmor.xml.reader import line
 from keymint.api import CertificateSpec, DomainRange, Extension, KeySpec, Validity
 from keymint.api.source_documents import domains, incomplete, place, require_new, text
@@ -92,8 +92,7 @@ _DEFAULT_KEY = KeySpec(algorithm="ec", curve="SECP256R1")
 _DEFAULT_HASH = "SHA256"
 
 
-@dataclass(frozen=True, slots=True)
-class IssuedElement:
+class IssuedElement(Data):
     """An ``<identity>``, ``<authority>``, ``<grant>`` or ``<defaults>`` element; None for each part that it leaves out.
 
     Attributes:

@@ -16,7 +16,7 @@ from typing import Any
 
 from lxml import etree
 
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from keymint.api import AcceptedPackage, AuthorityIssuance, CertificateSpec, Issuance, Phase, Rollover
 from keymint.api.source_documents import Reader, place, require_new, text
 from keymint.errors import KeymintError, Origin, known_authority
@@ -31,8 +31,7 @@ COPIES = "packages.lock.d"
 _GENERATIONS = range(10**9)
 
 
-@dataclass(frozen=True, slots=True)
-class _Field:
+class _Field(Data):
     """An element of a document, and the attribute of the data that has its name.
 
     Attributes:

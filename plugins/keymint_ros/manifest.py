@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 
 from lxml import etree
 
-from comarmor.values import dataclass
+from comarmor.values import Data
 from comarmor.xml.reader import line
 from keymint.api import Role
 from keymint.api.source_documents import Reader, file_in, normal_path, require_new, text
@@ -29,8 +29,7 @@ _OLDER = (
 """Parts with elements of their own, e.g. ``<permission_path>`` in ``<permission>`` in ``<permissions>``."""
 
 
-@dataclass(frozen=True, slots=True)
-class PackagePart:
+class PackagePart(Data):
     """A part of a package: its permissions, its identity, or one that a build type reads.
 
     Attributes:
@@ -48,8 +47,7 @@ class PackagePart:
     issuer: str
 
 
-@dataclass(frozen=True, slots=True)
-class PackageManifest:
+class PackageManifest(Data):
     """A package manifest, with the usual paths where it gives none.
 
     Attributes:

@@ -11,7 +11,7 @@ from typing import TypeVar
 from lxml import etree
 
 from comarmor.text import did_you_mean
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from keymint.api import (
     Authority,
     BuildType,
@@ -27,7 +27,7 @@ from keymint.api import (
 )
 from keymint.api.source_documents import DEFAULT_DOMAINS, Reader, file_in, normal_path, signer
 from keymint.errors import Defects, KeymintError, Origin, known_authority
-from keymint.ir import DeferredRules, Rule, SubjectRules
+from keymint.ir import Rule, SubjectRules
 from keymint.names import subject_of
 from keymint_ros import certificate, decisions, manifest, permissions, validity
 from keymint_ros.certificate import IssuedElement
@@ -57,8 +57,7 @@ def _read_defaults(part: str, content: bytes, file: str) -> IssuedElement:
     return _DEFAULTS[part](content, file).in_file(file)
 
 
-@dataclass(frozen=True, slots=True)
-class _PackageLoader:
+class _PackageLoader(Data):
     """Loads one package; each method loads one part.
 
     Attributes:
@@ -143,7 +142,7 @@ class _PackageLoader:
         file, found = self.own(part, create=f"'keymint create {self.name}' creates it from the policy")
         content = found or b""
         rules = (
-            DeferredRules(subject, partial(self._rules, content, file))
+            SubjectRules(subject, partial(self._rules, content, file))
             if self.built and permissions.has_rules_only(content, subject)
             else permissions.rendered_rules(content, base_of(self.profile))
         )

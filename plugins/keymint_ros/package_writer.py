@@ -19,7 +19,7 @@ from lxml import etree
 
 from comarmor.rules import KIND_OF, Effect
 from comarmor.text import lazy_regex, quote
-from comarmor.values import dataclass
+from comarmor.values import Data
 from comarmor.xml import reader
 from comarmor.xml.reader import line
 from keymint.api import AdoptedSources, Role, Validity, WorkspaceProfile
@@ -166,8 +166,7 @@ _EFFECTS = {"allow_rule": Effect.ALLOW, "deny_rule": Effect.DENY}
 _OF_GRANT = ("subject_name", "validity")
 
 
-@dataclass(frozen=True, slots=True)
-class _Right:
+class _Right(Data):
     """A permission on an expression."""
 
     effect: Effect

@@ -21,13 +21,13 @@ from comarmor.language.attachments import strip
 from comarmor.patterns.expression import parse as parse_expression
 from comarmor.rules import Effect
 from comarmor.text import lazy_regex
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from comarmor.xml import reader
 from comarmor.xml.reader import line
 from comarmor.xml.sandboxed_paths import PACKAGE
 from keymint.api.source_documents import Reader, place
 from keymint.errors import KeymintError, Origin
-from keymint.ir import DeferredRules, Kind, Rule, SubjectRules, once_of_kind
+from keymint.ir import Kind, Rule, SubjectRules, once_of_kind
 from keymint.names import name_of
 from keymint_ros import certificate
 from keymint_ros.certificate import IssuedElement
@@ -39,8 +39,7 @@ _PLACEHOLDER = lazy_regex(r"@?\{\w+\}")
 _OVERRIDES = ("domains", "subject_name", "validity")
 
 
-@dataclass(frozen=True, slots=True)
-class WrittenGrant:
+class WrittenGrant(Data):
     """The grant of a package.
 
     Attributes:
@@ -319,7 +318,7 @@ def rendered_rules(content: bytes, base: str) -> SubjectRules | None:
     rules, base_then = _rendered.pop(content, (None, ""))
     if rules is None or base_then != base:
         return None
-    return DeferredRules(rules.subject, partial(_as_read, rules.rules, base), rules.kind)
+    return SubjectRules(rules.subject, partial(_as_read, rules.rules, base), rules.kind)
 
 
 def _as_read(rules: Iterable[Rule], base: str) -> tuple[Rule, ...]:

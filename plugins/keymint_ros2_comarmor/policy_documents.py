@@ -29,7 +29,7 @@ from comarmor.language.syntax import Attachment, Profile, ProfileRule
 from comarmor.patterns.expression import escape, matches
 from comarmor.rules import PERMISSIONS, Effect, Rule, parts
 from comarmor.text import quote
-from comarmor.values import dataclass, field
+from comarmor.values import Data, field
 from comarmor.xml.reader import XINCLUDE
 from keymint.api import LearnedPolicy, LoadedPolicy
 from keymint.api.graph import Edge, Graph, general_expression, is_generated
@@ -45,8 +45,7 @@ NOWHERE = Origin("learned")
 _KINDS = tuple(PERMISSIONS)
 
 
-@dataclass(frozen=True, slots=True)
-class CommonPart:
+class CommonPart(Data):
     """An included file with the needs that several subjects share.
 
     Attributes:

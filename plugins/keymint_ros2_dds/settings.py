@@ -13,7 +13,7 @@ from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 from comarmor.text import quote
-from comarmor.values import dataclass, field, replace
+from comarmor.values import Data, field, replace
 from comarmor.xml.reader import line
 from keymint import api
 from keymint.api.source_documents import DEFAULT_DOMAINS, Reader, domains, incomplete, signer, text
@@ -28,8 +28,7 @@ BUILD_TYPE = "keymint_ros2_dds"
 """The name by which packages ask for this build type."""
 
 
-@dataclass(frozen=True, slots=True)
-class TopicProtection:
+class TopicProtection(Data):
     """A topic rule of a governance document (DDS Security 1.1, 9.4.1.2.5).
 
     Attributes:
@@ -52,8 +51,7 @@ class TopicProtection:
     data_protection_kind: str = "ENCRYPT"
 
 
-@dataclass(frozen=True, slots=True)
-class DomainRule:
+class DomainRule(Data):
     """A domain rule of a governance document (DDS Security 1.1, 9.4.1.2.4).
 
     Attributes:
@@ -80,8 +78,7 @@ STRICT_DOMAIN, STRICT_TOPIC = _strict(DomainRule), _strict(TopicProtection)
 """Settings in the order of a document, and what holds where neither a package nor its defaults say."""
 
 
-@dataclass(frozen=True, slots=True)
-class DdsSettings:
+class DdsSettings(Data):
     """The payload of this build type in a package: the protection of domains and topics.
 
     Attributes:

@@ -22,7 +22,7 @@ from comarmor.language.policy_files import IncludeFormat, PolicyFile, href_of
 from comarmor.language.source import load_tree
 from comarmor.rules import Effect
 from comarmor.text import lazy_regex, quote
-from comarmor.values import dataclass, field, replace
+from comarmor.values import Data, field, replace
 from comarmor.xml import schema
 from comarmor.xml.reader import XINCLUDE
 from comarmor.xml.sandboxed_paths import path_text
@@ -54,8 +54,7 @@ def parse(path: Path) -> SourcePolicy:
 # -- files and includes -----------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Comments:
+class Comments(Data, eq=False):
     """The comments of a document.
 
     Attributes:
@@ -98,8 +97,7 @@ _XPOINTER = lazy_regex(r"\s*xpointer\(\s*((?:/(?:\w+|\*))+)\s*\)\s*")
 _BASE = "{http://www.w3.org/XML/1998/namespace}base"
 
 
-@dataclass(frozen=True, slots=True)
-class Placed:
+class Placed(Data):
     """An element with its file.
 
     Attributes:
@@ -208,8 +206,7 @@ def _steps(include: etree._Element, where: Origin) -> tuple[str, ...]:
 # -- elements ----------------------------------------------------------------------------------------------------------
 
 
-@dataclass(slots=True)
-class _Parser:
+class _Parser(Data, frozen=False):
     """Parses the elements of a policy in document order.
 
     Attributes:

@@ -19,7 +19,7 @@ from comarmor.patterns.expression import canonical
 from comarmor.patterns.tokens import COMARMOR, tokenize
 from comarmor.rules import Effect, Rule
 from comarmor.text import lazy_regex, quote
-from comarmor.values import dataclass
+from comarmor.values import Data
 
 NEW = "0.2.0"
 """The version since Foxy. In 0.1.0 nodes have enclaves of their own."""
@@ -35,8 +35,7 @@ PERMISSIONS: Mapping[str, Mapping[str, str]] = MappingProxyType(
 """The permission that each attribute of a list qualifies."""
 
 
-@dataclass(frozen=True, slots=True)
-class Entry:
+class Entry(Data):
     """A ``<topic>``, ``<service>`` or ``<action>``: its text as it is written, and the comments before it."""
 
     text: str
@@ -44,8 +43,7 @@ class Entry:
     comments: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class RuleList:
+class RuleList(Data):
     """A list of names with qualifiers.
 
     Attributes:
@@ -72,8 +70,7 @@ class RuleList:
         return bool(self.where.chain)
 
 
-@dataclass(frozen=True, slots=True)
-class RosNode:
+class RosNode(Data):
     """A ``<profile>``: the rules of a node, whose names are relative to its namespace ``ns``."""
 
     ns: str
@@ -84,8 +81,7 @@ class RosNode:
     closing: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class NodeGroup:
+class NodeGroup(Data):
     """A ``<profiles>``, for which SROS2 writes one grant."""
 
     nodes: tuple[RosNode, ...]
@@ -94,8 +90,7 @@ class NodeGroup:
     closing: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Sros2Enclave:
+class Sros2Enclave(Data):
     """An ``<enclave>``; in version 0.1.0 a node, which had an enclave of its own.
 
     Attributes:
@@ -118,8 +113,7 @@ class Sros2Enclave:
             yield from group.nodes
 
 
-@dataclass(frozen=True, slots=True)
-class SourcePolicy:
+class SourcePolicy(Data):
     """A policy.
 
     Attributes:

@@ -19,7 +19,7 @@ from comarmor.language.syntax import Attachment, Inclusion, Profile, ProfileRule
 from comarmor.patterns.expression import literal
 from comarmor.rules import PERMISSIONS, Effect
 from comarmor.text import did_you_mean, quote
-from comarmor.values import dataclass, field, replace
+from comarmor.values import Data, field, replace
 from keymint.api import PolicySource
 from keymint.errors import KeymintError
 from keymint_ros2_table.files import read
@@ -58,8 +58,7 @@ def load(
     return ComArmorPolicy(comarmor.Policy(tuple(profiles), MappingProxyType(maker.seen)))
 
 
-@dataclass(slots=True)
-class _PolicyMaker:
+class _PolicyMaker(Data, frozen=False):
     """Collects the rules of rows by subject, and every defect.
 
     Attributes:

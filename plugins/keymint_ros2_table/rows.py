@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from comarmor.errors import ComArmorError, Origin
 from comarmor.language.attachments import strip
 from comarmor.text import did_you_mean, quantity, quote
-from comarmor.values import dataclass
+from comarmor.values import Data
 
 REQUIRED = ("subject", "kind", "permission", "object", "qualifier")
 OPTIONAL = ("audit", "source")
@@ -20,8 +20,7 @@ MOST_ROWS = 200_000
 _LONGEST_SOURCE = 500
 
 
-@dataclass(frozen=True, slots=True)
-class TableRow:
+class TableRow(Data):
     """A row of a table, as it is written: the texts of :data:`COLUMNS` but the source.
 
     Attributes:

@@ -29,7 +29,7 @@ from comarmor.patterns.glob import Glob
 from comarmor.patterns.possible_names import matches_ros_name
 from comarmor.patterns.tokens import Charset, Star, Token
 from comarmor.text import lazy_regex
-from comarmor.values import dataclass, field
+from comarmor.values import Data, field
 
 ANY_CHUNK = "*"
 ANY_CHUNKS = "**"
@@ -46,8 +46,7 @@ class KeyExprError(ValueError):
     """The text is not a key expression; the message says why, in one line."""
 
 
-@dataclass(frozen=True, slots=True, order=True)
-class KeyExpr:
+class KeyExpr(Data, order=True):
     """A canonical key expression; made by :func:`parse` and :func:`canonical`.
 
     Attributes:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from ipaddress import ip_address
 
-from comarmor.values import dataclass, field
+from comarmor.values import Data, field
 from keymint.api import AuthorityRole, Implementation, Package
 from keymint.errors import Origin
 
@@ -17,8 +17,7 @@ BUILD_TYPE = "keymint_ros2_zenoh"
 """The name by which packages ask for this build type."""
 
 
-@dataclass(frozen=True, slots=True)
-class Router:
+class Router(Data):
     """The router that all enclaves connect to.
 
     Attributes:
@@ -39,8 +38,7 @@ class Router:
         return f"tls/{in_endpoint(self.host)}:{self.port}"
 
 
-@dataclass(frozen=True, slots=True)
-class ZenohSettings:
+class ZenohSettings(Data):
     """The payload of this build type in a package.
 
     Attributes:

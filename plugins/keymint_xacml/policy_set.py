@@ -26,7 +26,7 @@ from comarmor.patterns.glob import literal, parse
 from comarmor.patterns.tokens import ANY, COMARMOR, MAX_CODE, Charset, Star, Token
 from comarmor.rules import Effect, Rule, parts
 from comarmor.text import one_line, quote
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.api import ExportedPolicy
 from keymint.api.xml_templates import xml_document
 from keymint.errors import Diagnostic, KeymintError, Severity, UnsayableError
@@ -39,8 +39,7 @@ _SPECIAL = {ord(char): f"\\{char}" for char in r"\|.-^?*+{}()[]$"} | {9: r"\t", 
 """Escapes of single characters (XML Schema Part 2, F.1.1; XPath 2.0 Functions, 7.6.1, has the one of ``$``)."""
 
 
-@dataclass(frozen=True, slots=True)
-class TextMatch:
+class TextMatch(Data):
     """How a text is compared.
 
     Attributes:

@@ -15,40 +15,47 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from comarmor import values
+from comarmor.values import Data
 
 
-def classes(dataclass: Any) -> dict[str, Any]:
-    """Return classes of all kinds, made by a decorator."""
+class Standard(type):
+    """Makes the same classes by the decorator of the standard library."""
 
-    @dataclass(frozen=True, slots=True)
-    class Frozen:
+    def __new__(
+        cls, name: str, bases: tuple[type, ...], body: dict[str, Any], *, frozen: bool = True, slots: bool = True,
+        **options: bool,
+    ) -> Any:  # fmt: skip
+        if not bases:
+            return super().__new__(cls, name, bases, body)
+        made = type(name, tuple(base for base in bases if not isinstance(base, cls)), body)
+        return dataclasses.dataclass(frozen=frozen, slots=slots, **options)(made)
+
+
+def classes(base: Any) -> dict[str, Any]:
+    """Return classes of all kinds that have a base."""
+
+    class Frozen(base):
         one: int
         two: str = "x"
         three: list[int] = field(default_factory=list, compare=False)
         four: int = field(default=7, init=False, repr=False)
 
-    @dataclass(frozen=True, slots=True, order=True)
-    class Ordered:
+    class Ordered(base, order=True):
         one: int
         two: str = "x"
 
-    @dataclass(frozen=True, slots=True)
-    class Below(Frozen):
+    class Below(Frozen, base):
         five: tuple[int, ...] = ()
 
-    @dataclass(slots=True)
-    class Changing:
+    class Changing(base, frozen=False):
         one: int
         two: str = "x"
 
-    @dataclass(frozen=True, slots=True, eq=False)
-    class Same:
+    class Same(base, eq=False):
         one: int
         two: str = "x"
 
-    @dataclass(frozen=True, slots=True)
-    class Own:  # noqa: PLW1641
+    class Own(base):  # noqa: PLW1641
         one: int
         two: str = "x"
 
@@ -57,22 +64,19 @@ def classes(dataclass: Any) -> dict[str, Any]:
                 raise ValueError("negative")
 
         def __eq__(self, other: object) -> bool:
-            return isinstance(other, Own) and self.one == other.one
+            return type(other) is type(self) and self.one == getattr(other, "one", None)
 
         def __repr__(self) -> str:
             return "own"
 
-    @dataclass(frozen=True)
-    class Open:
+    class Open(base, slots=False):
         one: int
         two: str = "x"
 
-    @dataclass(frozen=True, slots=True)
-    class Single:
+    class Single(base):
         one: int
 
-    @dataclass(frozen=True, slots=True)
-    class Empty:
+    class Empty(base):
         one: int
         two: str | None = None
         three: str | None = field(default=None, compare=False)
@@ -92,7 +96,7 @@ def classes(dataclass: Any) -> dict[str, Any]:
     return {each.__name__: each for each in (Frozen, Ordered, Below, Changing, Same, Own, Open, Single, Empty, Calling)}
 
 
-OURS, THEIRS = classes(values.dataclass), classes(dataclasses.dataclass)
+OURS, THEIRS = classes(Data), classes(Standard("Base", (), {}))
 for _name, _class in OURS.items():  # so that they can be pickled
     _class.__qualname__ = _name
     globals()[_name] = _class
@@ -153,8 +157,7 @@ def test_no_two_share_a_default() -> None:
 
 
 def test_a_field_keeps_what_it_says_about_hashes() -> None:
-    @values.dataclass(frozen=True)
-    class Hashed:
+    class Hashed(Data):
         one: int
         two: str = field(default="x", hash=False)
 

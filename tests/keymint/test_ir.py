@@ -14,14 +14,14 @@ from hypothesis import strategies as st
 from comarmor.errors import Origin
 from comarmor.rules import Effect
 from keymint.errors import KeymintError
-from keymint.ir import DeferredRules, Rule, SubjectRules, kind_of
+from keymint.ir import Rule, SubjectRules, kind_of
 
 RULES = (Rule(Effect.ALLOW, "ros_topic", ("ros_publish",), ("/chatter",), (), audit=False, origin=Origin("p.xml", 1)),)
 
 
 def test_rules_are_read_once_when_they_are_asked_for() -> None:
     read = mock.Mock(return_value=RULES)
-    deferred = DeferredRules("/talker", read)
+    deferred = SubjectRules("/talker", read)
     assert deferred.subject == "/talker"
     read.assert_not_called()
     assert deferred.rules == deferred.rules == RULES
@@ -29,7 +29,7 @@ def test_rules_are_read_once_when_they_are_asked_for() -> None:
 
 
 def test_rules_that_are_read_later_equal_those_that_were_read() -> None:
-    deferred, rules = DeferredRules("/talker", lambda: RULES), SubjectRules("/talker", RULES)
+    deferred, rules = SubjectRules("/talker", lambda: RULES), SubjectRules("/talker", RULES)
     assert deferred == rules == deferred
     assert hash(deferred) == hash(rules)
     assert deferred != SubjectRules("/listener", RULES)
@@ -42,17 +42,17 @@ def test_the_kind_of_rules_is_made_once() -> None:
     with mock.patch("keymint.ir.kind_of", side_effect=[known]):
         rules = SubjectRules("/talker", RULES)
         assert rules.kind is rules.kind is known
-    deferred = DeferredRules("/talker", mock.Mock(side_effect=AssertionError), known)
+    deferred = SubjectRules("/talker", mock.Mock(side_effect=AssertionError), known)
     assert deferred.kind is known, "it was known before the rules were read"
 
 
 def test_another_process_gets_rules_that_were_read() -> None:
-    deferred = DeferredRules("/talker", lambda: RULES)
+    deferred = SubjectRules("/talker", lambda: RULES)
     assert pickle.loads(pickle.dumps(deferred)) == SubjectRules("/talker", RULES)
 
 
 def test_the_error_of_reading_is_raised_at_each_access() -> None:
-    deferred = DeferredRules("/talker", mock.Mock(side_effect=KeymintError("damaged")))
+    deferred = SubjectRules("/talker", mock.Mock(side_effect=KeymintError("damaged")))
     for _ in range(2):
         with pytest.raises(KeymintError, match="damaged"):
             _ = deferred.rules

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from functools import cached_property
 
 from comarmor.text import first_few
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.analysis.subject_patterns import expressions_for
 from keymint.api import PolicyStructure, WrittenRule
 from keymint.errors import Diagnostic, Origin, Spot
@@ -24,8 +24,7 @@ def quoted_list(expressions: Sequence[str]) -> str:
     return first_few([repr(each) for each in expressions], 3)
 
 
-@dataclass(frozen=True, slots=True)
-class ExpressionOrigin:
+class ExpressionOrigin(Data):
     """Origin of an expression: an attachment of a rule.
 
     Attributes:

@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 from comarmor.text import lazy_regex
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.command_line.named_files import read_input
 from keymint.command_line.robot_options import folder_option, keystore_of, opened_store
 from keymint.command_line.verb import FILE, Report, Run, argument, flag, option, verb
@@ -23,8 +23,7 @@ from keymint.store.changes import Action, Step
 _FINGERPRINT = lazy_regex("[0-9a-f]{64}")
 
 
-@dataclass(frozen=True, slots=True)
-class _Taken:
+class _Taken(Data):
     """A bundle that is accepted, and what it changes."""
 
     file: Path

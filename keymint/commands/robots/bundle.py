@@ -10,7 +10,7 @@ from typing import Any
 
 from cryptography import x509
 
-from comarmor.values import dataclass, field, replace
+from comarmor.values import Data, field, replace
 from keymint.api import Package, Phase
 from keymint.authority.authorities import MintedAuthority, plan_authorities
 from keymint.authority.rollover import phase_of
@@ -169,8 +169,7 @@ def write_bundles(run: Run, output: Path | None, made: Sequence[MadeBundle]) -> 
 # -- making them -------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class MadeBundle:
+class MadeBundle(Data):
     """A bundle, its manifest, and whether it has the private key of its enclave."""
 
     manifest: Manifest

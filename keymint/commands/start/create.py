@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import click
 
 from comarmor.text import lazy_regex
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from keymint.command_line.options import Names, names_group, valid_for_option
 from keymint.command_line.verb import Report, Run, flag, option, option_group, verb
 from keymint.errors import usage_error
@@ -36,8 +36,7 @@ def _named(_context: click.Context, _parameter: click.Parameter, given: tuple[st
     return named
 
 
-@dataclass(frozen=True, slots=True)
-class AcceptanceOptions:
+class AcceptanceOptions(Data):
     """What the owner of a workspace accepts of the profiles that ROS packages ship.
 
     Attributes:

@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 
 from comarmor.text import did_you_mean
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.api import Bootstrap, WorkspaceProfile
 from keymint.api.plugin_loader import Plugins
 from keymint.authority.authorities import plan_authorities
@@ -25,8 +25,7 @@ from keymint.workspace.session import Inputs
 from keymint.workspace.workspace import PROFILE_MARKER, Workspace
 
 
-@dataclass(frozen=True, slots=True)
-class ProfileOptions:
+class ProfileOptions(Data):
     """What shapes the profile of a new workspace; None for an option that was not given.
 
     Options:

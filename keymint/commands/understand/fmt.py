@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from comarmor.text import quantity
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from comarmor.xml.reader import looks_like_xml
 from keymint.api import PolicyType
 from keymint.command_line.named_files import read_input, replace_inputs, user_path
@@ -24,8 +24,7 @@ _STANDARD = Path("-")
 _NO_NEWLINE = "\\ No newline at end of file\n"
 
 
-@dataclass(frozen=True, slots=True)
-class _Formatted:
+class _Formatted(Data):
     """A file, as it is and in canonical form.
 
     Attributes:

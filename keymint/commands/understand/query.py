@@ -14,7 +14,7 @@ from comarmor.patterns.glob import Glob, literal, matches, parse
 from comarmor.patterns.tokens import PatternError
 from comarmor.rules import PERMISSIONS, Effect, of_raw_topic
 from comarmor.text import did_you_mean, first_few, nearest_word, quantity
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from keymint.analysis.channels import Channel, ChannelSearch
 from keymint.analysis.query import FORMS, HEADS, PermissionHolder, effective_permissions, who_can
 from keymint.analysis.rule_lists import allow_only, display_name, find_permitted, query_pattern
@@ -35,8 +35,7 @@ _Answer = tuple[str, dict[str, Any]]
 """``yes``, ``no`` or ``unknown``, and further results."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Question:
+class _Question(Data):
     """A parsed query.
 
     Attributes:

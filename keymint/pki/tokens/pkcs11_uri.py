@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from urllib.parse import unquote, unquote_to_bytes
 
 from comarmor.text import did_you_mean, lazy_regex, quote
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.errors import KeymintError, Origin
 
 CODE = "pkcs11-uri"
@@ -22,8 +22,7 @@ _QUERY_TEXT = lazy_regex(r"(?:[A-Za-z0-9\-._~:\[\]@!$'()*+,=/?|]|%[0-9A-Fa-f]{2}
 _MOST = 4096
 
 
-@dataclass(frozen=True, slots=True)
-class Pkcs11Uri:
+class Pkcs11Uri(Data):
     """A private key in a token.
 
     Attributes:

@@ -16,7 +16,7 @@ from functools import lru_cache
 
 from comarmor.patterns import glob
 from comarmor.patterns.steps import StepLimitError, step_limit
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from keymint.api import Claim, Counterexample, DomainRange, Proof, ValidityTerm
 from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.ir import Kind, Rule, SubjectRules, once_of_kind
@@ -32,8 +32,7 @@ _STEPS_PER_STATE = 60
 _SHOWN = 3
 
 
-@dataclass(frozen=True, slots=True)
-class ProofEffort:
+class ProofEffort(Data):
     """What is claimed, and the limits of the search.
 
     Attributes:
@@ -80,8 +79,7 @@ def costliest(rules: Iterable[Rule]) -> str:
     return f"; the rules with the most wildcards are at {places}" if places else ""
 
 
-@dataclass(frozen=True, slots=True)
-class EnclaveProof:
+class EnclaveProof(Data):
     """The result for one enclave, or across all packages of a build type, and what becomes of its record.
 
     Attributes:
@@ -107,8 +105,7 @@ class EnclaveProof:
     refuted: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class ProofResults:
+class ProofResults(Data):
     """What is proven about a keystore.
 
     Attributes:

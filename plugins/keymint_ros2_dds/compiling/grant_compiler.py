@@ -12,7 +12,7 @@ from comarmor.patterns.glob import Glob, sort_key
 from comarmor.patterns.relations import disjoint
 from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.rules import Effect
-from comarmor.values import dataclass, field, replace
+from comarmor.values import Data, field, replace
 from keymint.api import BuildOptions, Grant, Hint, lazy
 from keymint.errors import Diagnostic, KeymintError, Severity
 from keymint.ir import Rule
@@ -29,8 +29,7 @@ STEPS = 4_000_000
 """Steps that ordering the rules of a subject may take (:mod:`comarmor.patterns.steps`)."""
 
 
-@dataclass(frozen=True, slots=True)
-class Compiled:
+class Compiled(Data):
     """The rules of a grant.
 
     Attributes:
@@ -115,8 +114,7 @@ def _endpoint_counts(hints: Iterable[Hint], distro: str) -> EndpointCounts:
     return counts
 
 
-@dataclass(slots=True)
-class _PortabilityReport:
+class _PortabilityReport(Data, frozen=False):
     """Collects the rules that vendors read differently: each reason once for each rule of the policy."""
 
     lowered: Lowered

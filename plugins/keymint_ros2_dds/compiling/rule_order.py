@@ -26,15 +26,14 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from comarmor.patterns.glob import Glob, literal, sort_key
 from comarmor.patterns.relations import TooComplexError, all_disjoint, disjoint, intersection, union_covers
 from comarmor.rules import Effect
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.keymake.order import Arrangement, arrange, early_rules
 from keymint_ros2_dds.compiling.partitions import Step, UnportableError, decision_list, partitions_left, uniform
 from keymint_ros2_dds.lowering.lowered_rules import DEFAULT, EVERY, GrantRule, Lowered, Partitions, with_leading_allow
 from keymint_ros2_dds.lowering.name_mapping import TopicAction
 
 
-@dataclass(frozen=True, slots=True)
-class RuleGroup:
+class RuleGroup(Data):
     """Rules for patterns of one action that match no name of another group of that action.
 
     Attributes:

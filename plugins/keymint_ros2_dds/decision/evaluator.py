@@ -19,7 +19,7 @@ from functools import cached_property, lru_cache
 
 from comarmor.patterns.expression import literal_prefix
 from comarmor.patterns.tokens import Dialect
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.api import Verdict
 from keymint.errors import Origin
 from keymint_ros2_dds.decision.semantics import OMG, Semantics, TopicCheck, Variation
@@ -31,8 +31,7 @@ DEFAULT_PARTITION = ("",)
 _NO_GRANT = DocumentGrant("", "", "", (), allows=False, line=0)
 
 
-@dataclass(frozen=True, slots=True)
-class _Expressions:
+class _Expressions(Data):
     """Expressions of one list, compiled, and the texts that names begin with which those with wildcards match."""
 
     plain: frozenset[str]
@@ -79,8 +78,7 @@ class TopicDecisions:
         return self._allows[at]
 
 
-@dataclass(frozen=True, slots=True)
-class _CriteriaStep:
+class _CriteriaStep(Data):
     """Criteria of a rule; or all criteria of a rule, pooled.
 
     ``partitions`` is None where every partition matches.

@@ -16,7 +16,7 @@ from enum import StrEnum
 from typing import Any
 
 from comarmor.patterns.tokens import Dialect
-from comarmor.values import dataclass, field, replace
+from comarmor.values import Data, field, replace
 from keymint_ros2_dds import subject_names
 from keymint_ros2_dds.lowering.name_mapping import DISTROS
 from keymint_ros2_dds.reading import dialects
@@ -65,8 +65,7 @@ class Evidence(StrEnum):
 BEGINNING_OF_TIME = datetime.min.replace(tzinfo=UTC)
 
 
-@dataclass(frozen=True, slots=True)
-class Semantics:
+class Semantics(Data):
     """How the files of an enclave are read.
 
     Attributes:
@@ -166,8 +165,7 @@ class Semantics:
 STANDARD = Semantics()
 
 
-@dataclass(frozen=True, slots=True)
-class Deviation:
+class Deviation(Data):
     """One point on which an implementation differs from the standard.
 
     Attributes:
@@ -187,8 +185,7 @@ class Deviation:
         return f"row {self.row}, {self.name}: {self.text}"
 
 
-@dataclass(frozen=True, slots=True)
-class Variation:
+class Variation(Data):
     """An implementation, from one version on: the standard with deviations.
 
     Attributes:

@@ -30,7 +30,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 
 from comarmor.rules import PARTS, is_fully_qualified, parts
 from comarmor.text import first_few, lazy_regex
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.api import DiscoveredGraph
 from keymint.api.graph import Edge, Graph, Object, is_generated
 from keymint.api.graph_json import legal_node, legal_text, partitions
@@ -148,8 +148,7 @@ def _folded(edges: set[Edge], types: Types) -> tuple[set[Edge], Types]:
     return kept, named
 
 
-@dataclass(frozen=True, slots=True, order=True)
-class DiscoveredParticipant:
+class DiscoveredParticipant(Data, order=True):
     """A participant (DDS 1.4, 2.2.5, ``DCPSParticipant``).
 
     Attributes:
@@ -165,8 +164,7 @@ class DiscoveredParticipant:
     user_data: bytes = b""
 
 
-@dataclass(frozen=True, slots=True, order=True)
-class DiscoveredEndpoint:
+class DiscoveredEndpoint(Data, order=True):
     """A writer or reader (DDS 1.4, 2.2.5, ``DCPSPublication`` and ``DCPSSubscription``).
 
     Attributes:

@@ -8,7 +8,7 @@ refuted or not decided, the plain form is emitted.
 from __future__ import annotations
 
 from comarmor.patterns.steps import step_limit
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.api import BuildOptions, Claim, ComparisonTask, Grant, Package, Proof
 from keymint.errors import Diagnostic, KeymintError
 from keymint_ros2_dds.compiling.grant_compiler import Compiled, compile_rules, vendor_notes
@@ -25,8 +25,7 @@ STEPS = 8_000_000
 """Steps that all proofs about the forms of a document may take together (:mod:`comarmor.patterns.steps`)."""
 
 
-@dataclass(frozen=True, slots=True)
-class Emitted:
+class Emitted(Data):
     """A permissions document.
 
     Attributes:

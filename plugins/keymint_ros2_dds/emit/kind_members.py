@@ -20,7 +20,7 @@ from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.patterns.tokens import ANY, Charset
 from comarmor.rules import is_fully_qualified
 from comarmor.text import lazy_regex
-from comarmor.values import dataclass, field
+from comarmor.values import Data, field
 from keymint.api import BuildOptions, Claim, DomainRange, Grant, Package, Validity
 from keymint.errors import KeymintError
 from keymint.ir import Arguments, Kind
@@ -59,8 +59,7 @@ Ends = tuple[tuple[str, str], ...]
 """The texts before and after the ``*`` of DDS expressions."""
 
 
-@dataclass(frozen=True, slots=True)
-class Structure:
+class Structure(Data):
     """The DDS names and wildcards of a kind.
 
     Attributes:
@@ -218,8 +217,7 @@ Domains = tuple[DomainRange, ...]
 _SEMANTICS = tuple(variation.semantics for variation in VARIATIONS.values())
 
 
-@dataclass(frozen=True, slots=True)
-class _Made:
+class _Made(Data):
     """What the engine made for a member.
 
     Attributes:
@@ -247,8 +245,7 @@ class _Made:
         return {text: times[text] for text in dict.fromkeys(texts) if times[text]}
 
 
-@dataclass(slots=True)
-class _Members:
+class _Members(Data, frozen=False):
     """The members of a kind.
 
     Attributes:

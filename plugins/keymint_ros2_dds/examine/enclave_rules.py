@@ -14,7 +14,7 @@ from functools import cached_property
 from typing import Generic, TypeVar
 
 from comarmor.text import hexadecimal
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.api import EnclaveFiles, TrustAnchors
 from keymint.errors import Defects, Diagnostic, KeymintError
 from keymint.pki import certificates, keys, revocation_lists, smime
@@ -67,8 +67,7 @@ def differences(enclave: EnclaveFiles) -> tuple[Diagnostic, ...]:
     return tuple(each for each in rules.trust(anchors, needed) if each.code != "key-password")
 
 
-@dataclass(frozen=True, slots=True)
-class SignedFact(Generic[Document]):
+class SignedFact(Data, Generic[Document]):
     """A signed document of an enclave, read once for all rules and views.
 
     Attributes:

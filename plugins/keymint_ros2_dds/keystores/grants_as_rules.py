@@ -18,7 +18,7 @@ from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.patterns.tokens import PatternError
 from comarmor.rules import Effect, Rule
 from comarmor.text import quote
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.api import DomainRange, EnclaveFiles, FoundEnclave, GrantedRules, InstalledRights, KeystoreFiles
 from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.ir import SubjectRules
@@ -180,8 +180,7 @@ def _applying(
     return (), ()
 
 
-@dataclass(frozen=True, slots=True)
-class _Step:
+class _Step(Data):
     """A topic expression of a document: what it decides, and for what.
 
     Attributes:

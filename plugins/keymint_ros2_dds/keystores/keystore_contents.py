@@ -13,7 +13,7 @@ from contextlib import suppress
 
 from cryptography import x509
 
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.api import KeystoreFile, KeystoreFiles
 from keymint.errors import KeymintError, Origin
 from keymint.names import package_name
@@ -39,8 +39,7 @@ _TOP = frozenset((layout.CA, layout.IDENTITY_CA, layout.PERMISSIONS_CA))
 """Files at the top of the old layout, to which links of enclaves lead."""
 
 
-@dataclass(frozen=True, slots=True)
-class Contents:
+class Contents(Data):
     """The files of a keystore by what they contain; links are left out, since they repeat another file.
 
     Attributes:
@@ -123,8 +122,7 @@ def _document(signed: bytes) -> PermissionsDocument | GovernanceDocument | None:
 # -- which files belong to an enclave --------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class EnclavePlace:
+class EnclavePlace(Data):
     """Where the files of an enclave are.
 
     Attributes:

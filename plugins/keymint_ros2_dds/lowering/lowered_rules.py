@@ -19,7 +19,7 @@ from comarmor.patterns.possible_names import advice, matches_ros_name
 from comarmor.patterns.tokens import SPECIAL
 from comarmor.rules import Effect
 from comarmor.text import did_you_mean
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.errors import Diagnostic, KeymintError
 from keymint.ir import Rule, SubjectRules
 from keymint_ros2_dds.lowering import name_mapping
@@ -34,8 +34,7 @@ EVERY: Partitions = ("*",)
 _Pattern = TypeVar("_Pattern")
 
 
-@dataclass(frozen=True, slots=True)
-class GrantRule(Generic[_Pattern]):
+class GrantRule(Data, Generic[_Pattern]):
     """An ``<allow_rule>`` or ``<deny_rule>``: over patterns while it is compiled, over expressions when it is written.
 
     Attributes:
@@ -71,8 +70,7 @@ _RAW_TOPIC = "topic"
 """The kind of rules on DDS topics by their own names."""
 
 
-@dataclass(frozen=True, slots=True)
-class Lowered:
+class Lowered(Data):
     """The rules of a subject as DDS patterns, by action.
 
     Attributes:

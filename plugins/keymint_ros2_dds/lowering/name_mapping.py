@@ -31,7 +31,7 @@ from comarmor.patterns.relations import covers
 from comarmor.patterns.tokens import STAR, Charset, PatternError, Star, Token
 from comarmor.rules import PARTS, Effect, parts
 from comarmor.text import did_you_mean
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.errors import KeymintError, Origin
 
 
@@ -43,8 +43,7 @@ class TopicAction(StrEnum):
     RELAY = "relay"
 
 
-@dataclass(frozen=True, slots=True)
-class DdsTopic:
+class DdsTopic(Data):
     """A DDS topic of a ROS entity, and the action that a permission needs on it.
 
     Attributes:

@@ -20,7 +20,7 @@ from comarmor.patterns.decision_lists import Block, DecisionList, Equal, ProofRe
 from comarmor.patterns.glob import EVERYTHING, Glob, matches, parse
 from comarmor.patterns.tokens import charset
 from comarmor.rules import Effect
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from keymint_ros2_dds.decision.semantics import Semantics, TopicCheck
 from keymint_ros2_dds.lowering.lowered_rules import Lowered, Partitions
 from keymint_ros2_dds.lowering.name_mapping import TopicAction
@@ -130,8 +130,7 @@ NOTHING: DecisionList = ()
 """Permits nothing."""
 
 
-@dataclass(frozen=True, slots=True)
-class Regions:
+class Regions(Data):
     """The topics of a domain, by access control for an action.
 
     Attributes:
@@ -149,8 +148,7 @@ REFUSED = Regions(NOTHING, NOTHING, NOTHING)
 """The topics of a domain that no rule matches."""
 
 
-@dataclass(frozen=True, slots=True)
-class Permitted:
+class Permitted(Data):
     """What the documents permit.
 
     Attributes:

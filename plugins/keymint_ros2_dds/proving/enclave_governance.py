@@ -16,7 +16,7 @@ from comarmor.patterns.decision_lists import Block, DecisionList, SearchBudget, 
 from comarmor.patterns.glob import EVERYTHING
 from comarmor.patterns.proofs import escapes
 from comarmor.patterns.tokens import PatternError
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint import api
 from keymint.errors import Reason
 from keymint_ros2_dds.decision.semantics import STANDARD, Semantics, Variation
@@ -164,8 +164,7 @@ _QUALITIES = {
 """The protection that each value gives; other values give none."""
 
 
-@dataclass(frozen=True, slots=True)
-class Weaker:
+class Weaker(Data):
     """An element that protects less than the sources require.
 
     Attributes:

@@ -9,7 +9,7 @@ from functools import lru_cache
 from itertools import pairwise
 
 from comarmor.text import lazy_regex
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.api import ValidityTerm
 from keymint.errors import KeymintError, Origin
 from keymint.pki import revocation_lists
@@ -23,8 +23,7 @@ _SECOND = timedelta(seconds=1)
 _LAST_MOMENT = datetime.max.replace(tzinfo=UTC) - _SECOND
 
 
-@dataclass(frozen=True, slots=True)
-class GrantPeriod:
+class GrantPeriod(Data):
     """A period in which a grant is in force; it may have others later."""
 
     grant: DocumentGrant

@@ -14,7 +14,7 @@ from comarmor.patterns import glob
 from comarmor.patterns.decision_lists import SearchBudget
 from comarmor.patterns.glob import matches
 from comarmor.rules import Effect, is_fully_qualified, parts
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from keymint.api import ComparisonTask, Counterexample, DomainRange, Endpoint, PolicyDecision, Verdict, lazy
 from keymint.api.graph import Edge, Object
 from keymint.errors import Reason
@@ -35,8 +35,7 @@ _document_evaluator = lazy("keymint_ros2_dds.decision.evaluator:DocumentEvaluato
 _domain_access = lazy("keymint_ros2_dds.decision.evaluator:DomainAccess")
 
 
-@dataclass(frozen=True, slots=True)
-class ProofQuestion:
+class ProofQuestion(Data):
     """A permissions document, and what it must permit.
 
     Attributes:
@@ -108,8 +107,7 @@ def _matches(expression: str, name: str) -> bool:
 _DATE = "%Y-%m-%dT%H:%M:%S"
 
 
-@dataclass(frozen=True, slots=True)
-class Situation:
+class Situation(Data):
     """When two decisions are compared.
 
     Attributes:
@@ -125,8 +123,7 @@ class Situation:
     era: GrantPeriod | None
 
 
-@dataclass(frozen=True, slots=True)
-class Counterexamples:
+class Counterexamples(Data):
     """Makes counterexamples to the claims of one model.
 
     Attributes:

@@ -27,7 +27,7 @@ from comarmor.errors import ComArmorError, Diagnostic
 from comarmor.patterns.glob import parse, regex
 from comarmor.patterns.tokens import SPECIAL, Dialect
 from comarmor.text import lazy_regex
-from comarmor.values import dataclass
+from comarmor.values import Data
 from comarmor.xml import schema
 from comarmor.xml.reader import line
 from keymint_ros2_dds.domains import MAX_DOMAIN
@@ -143,8 +143,7 @@ class VendorReading(Enum):
 PLAIN, REFUSES, CRASHES, UNMODELLED = VendorReading
 
 
-@dataclass(frozen=True, slots=True)
-class Quirk:
+class Quirk(Data):
     """A property of a document that a plain one does not have.
 
     Attributes:

@@ -13,7 +13,7 @@ from functools import lru_cache
 
 from lxml import etree
 
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from comarmor.xml.reader import line, parse
 from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint_ros2_dds.enclave_layout import GOVERNANCE, GOVERNANCE_XML
@@ -34,8 +34,7 @@ _NOWHERE = DocumentDomains(None, None)
 """What is read of text that is no domain id; the schema refuses it."""
 
 
-@dataclass(frozen=True, slots=True)
-class DocumentTopicRule:
+class DocumentTopicRule(Data):
     """How the topics that an expression matches are protected.
 
     Attributes:
@@ -62,8 +61,7 @@ class DocumentTopicRule:
         return self.write_controlled if action == "publish" else self.read_controlled
 
 
-@dataclass(frozen=True, slots=True)
-class DocumentDomainRule:
+class DocumentDomainRule(Data):
     """How some domains are protected.
 
     Attributes:
@@ -99,8 +97,7 @@ class DocumentDomainRule:
         return dict(self.lines).get(tag, self.line)
 
 
-@dataclass(frozen=True, slots=True)
-class GovernanceDocument:
+class GovernanceDocument(Data):
     """A governance document.
 
     Attributes:

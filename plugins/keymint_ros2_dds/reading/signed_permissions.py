@@ -15,7 +15,7 @@ from lxml import etree
 
 from comarmor.errors import ComArmorError, Diagnostic, Origin
 from comarmor.text import lazy_regex, quote
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from comarmor.xml.reader import line, parse
 from keymint.api import DomainRange
 from keymint.errors import KeymintError
@@ -28,8 +28,7 @@ _RULES = frozenset(("allow_rule", "deny_rule"))
 _NUMBER = lazy_regex(r"[+-]?[0-9]{1,4000}")
 
 
-@dataclass(frozen=True, slots=True)
-class DocumentDomains:
+class DocumentDomains(Data):
     """Domain ids from ``first`` to ``last``; None where the range has no such end."""
 
     first: int | None
@@ -55,8 +54,7 @@ def as_ranges(domains: Iterable[DocumentDomains]) -> Iterator[DomainRange]:
         yield DomainRange(first, first if each.last is None else each.last)
 
 
-@dataclass(frozen=True, slots=True)
-class DocumentCriteria:
+class DocumentCriteria(Data):
     """A ``<publish>``, ``<subscribe>`` or ``<relay>`` of a rule.
 
     Attributes:
@@ -74,8 +72,7 @@ class DocumentCriteria:
     line: int
 
 
-@dataclass(frozen=True, slots=True)
-class DocumentRule:
+class DocumentRule(Data):
     """An ``<allow_rule>`` or a ``<deny_rule>``."""
 
     allows: bool
@@ -84,8 +81,7 @@ class DocumentRule:
     line: int
 
 
-@dataclass(frozen=True, slots=True)
-class DocumentGrant:
+class DocumentGrant(Data):
     """The permissions of a subject in a period.
 
     Attributes:
@@ -105,8 +101,7 @@ class DocumentGrant:
     line: int
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PermissionsDocument:
+class PermissionsDocument(Data, eq=False):
     """A permissions document.
 
     Attributes:

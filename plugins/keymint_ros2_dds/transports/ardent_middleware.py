@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice, tee
 
-from comarmor.values import dataclass, replace
+from comarmor.values import replace
 from keymint.api import Availability, InstalledEnclave, Tier, Transport, Verdict
 from keymint.api.graph import Edge
 from keymint_ros2_dds.lowering.endpoints import endpoints
@@ -44,11 +44,11 @@ def created_endpoints(distro: str, edge: Edge) -> tuple[Edge, ...]:
     )
 
 
-@dataclass(frozen=True, slots=True)
 class ArdentMiddleware(Transport):
     """Asks a transport about the endpoints that the middleware creates."""
 
-    transport: Transport
+    def __init__(self, transport: Transport) -> None:
+        self.transport = transport
 
     def usable(self) -> Availability:
         """Return whether the transport is usable; not for exchange of data, because partitions change before it."""

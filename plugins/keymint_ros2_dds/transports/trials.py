@@ -19,7 +19,7 @@ from functools import partial
 from itertools import groupby, islice, repeat
 from typing import cast
 
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from keymint.api import InstalledEnclave, Verdict
 from keymint.api.graph import Edge
 from keymint.errors import KeymintError
@@ -138,8 +138,7 @@ SETTLE_SECONDS = 0.3
 _OTHER_END: Mapping[str, str] = {"publish": "subscribe", "subscribe": "publish"}
 
 
-@dataclass(slots=True)
-class _Trial:
+class _Trial(Data, frozen=False):
     """An endpoint of the subject under test, with the enclave of its other end."""
 
     endpoint: Edge

@@ -22,7 +22,7 @@ from ctypes import POINTER, Structure, byref, c_char_p, c_int, c_int32, c_int64,
 from pathlib import Path
 from typing import Any
 
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint_ros2_dds.enclave_layout import PERMISSIONS_CA, authority_file
 
 _SONAMES = ("libddsc.so.0debian", "libddsc.so.0", "libddsc.so")
@@ -78,8 +78,7 @@ class _Plugin(Structure):
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Library:
+class Library(Data):
     """The loaded shared objects of the plugin and of Cyclone DDS, and a domain for plugin instances."""
 
     core: ctypes.CDLL

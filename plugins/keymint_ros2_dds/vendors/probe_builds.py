@@ -24,7 +24,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from keymint.host.vendor_process import MissingVendorError
 from keymint_ros2_dds.vendors import cyclone_access_control
 
@@ -98,8 +98,7 @@ def _missing(vendor: str, reason: str, packages: Sequence[str]) -> MissingVendor
     return MissingVendorError(vendor, reason, f"apt-get install {' '.join(packages)}")
 
 
-@dataclass(frozen=True, slots=True)
-class Probe:
+class Probe(Data):
     """How to build a vendor's probe.
 
     Attributes:
@@ -236,8 +235,7 @@ def require_cyclone_plugins() -> None:
         raise _missing("Cyclone DDS", str(error), CYCLONE_PACKAGES[:1]) from None
 
 
-@dataclass(frozen=True, slots=True)
-class Unpacked:
+class Unpacked(Data):
     """A version of a vendor.
 
     Attributes:

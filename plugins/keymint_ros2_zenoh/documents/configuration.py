@@ -13,7 +13,7 @@ from dataclasses import fields
 from enum import StrEnum
 from typing import Any
 
-from comarmor.values import dataclass, field
+from comarmor.values import Data, field
 from keymint.errors import Origin
 
 
@@ -50,8 +50,7 @@ class Permission(StrEnum):
     DENY = "deny"
 
 
-@dataclass(frozen=True, slots=True)
-class AclRule:
+class AclRule(Data):
     """A rule: it applies to a message if its flow and message are listed and a key expression includes the key.
 
     Attributes:
@@ -75,8 +74,7 @@ PROPERTIES = ("cert_common_names", "usernames", "interfaces", "link_protocols", 
 """The properties of :class:`AclSubject`, which have the same names in a document."""
 
 
-@dataclass(frozen=True, slots=True)
-class AclSubject:
+class AclSubject(Data):
     """Links that a policy applies to: one of the values of each property that is given; an empty property is any.
 
     Attributes:
@@ -108,8 +106,7 @@ class AclSubject:
         return any(self.properties[1:])
 
 
-@dataclass(frozen=True, slots=True)
-class AclPolicy:
+class AclPolicy(Data):
     """Rules that apply to subjects, both by their names in the document."""
 
     rules: tuple[str, ...]
@@ -117,8 +114,7 @@ class AclPolicy:
     where: Origin | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class AccessControl:
+class AccessControl(Data):
     """The access control of a configuration.
 
     Attributes:
@@ -154,8 +150,7 @@ def _setting(path: str, default: Any) -> Any:
     return field(default=default, metadata={"path": path})
 
 
-@dataclass(frozen=True, slots=True)
-class Configuration:
+class Configuration(Data):
     """What a configuration means in its mode: settings that it lacks have Zenoh's default.
 
     Attributes:

@@ -23,7 +23,7 @@ from comarmor.patterns.relations import TooComplexError, disjoint, intersection
 from comarmor.patterns.tokens import PatternError
 from comarmor.rules import Effect, parts
 from comarmor.text import did_you_mean
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.api import DomainRange, Package
 from keymint.errors import Defects, Diagnostic, KeymintError, Severity
 from keymint.ir import Rule, SubjectRules
@@ -44,8 +44,7 @@ _Problem = tuple[str, Severity, str, str]
 """The code and severity of a finding on a rule, its message, and what to do about it."""
 
 
-@dataclass(frozen=True, slots=True)
-class NameRule:
+class NameRule(Data):
     """A pattern of a rule for one permission.
 
     Attributes:
@@ -61,8 +60,7 @@ class NameRule:
     rule: Rule
 
 
-@dataclass(frozen=True, slots=True)
-class NameRules:
+class NameRules(Data):
     """The rules of a subject that Zenoh expresses, and warnings and notes about the others."""
 
     subject: str

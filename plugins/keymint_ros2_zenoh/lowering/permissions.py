@@ -21,7 +21,7 @@ from itertools import product, starmap
 
 from comarmor.rules import parts
 from comarmor.text import did_you_mean
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.api import Endpoint
 from keymint.api.graph import Edge
 from keymint.errors import KeymintError, Origin
@@ -85,8 +85,7 @@ def own_tokens_key(domain: int, subject: str) -> KeyExpr:
     return of_chunks((GRAPH, str(domain), *_TOKEN_IDS, subject.replace("/", "%"), ANY_CHUNKS))
 
 
-@dataclass(frozen=True, slots=True, order=True)
-class Slot:
+class Slot(Data, order=True):
     """A message in a flow, on the keys of a name at a place."""
 
     message: Message
@@ -167,8 +166,7 @@ OTHER_END: Mapping[str, str] = {PUBLISH: SUBSCRIBE, SUBSCRIBE: PUBLISH, CALL: EX
 _ADVANCED_IDS = "pub/0123456789abcdef/1/_"
 
 
-@dataclass(frozen=True, slots=True)
-class Operation:
+class Operation(Data):
     """An operation of a node on a literal key.
 
     Attributes:
@@ -201,8 +199,7 @@ class Operation:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class OperationRequest:
+class OperationRequest(Data):
     """A message on a link of a router, on a literal key; the flow is as the router sees it."""
 
     message: Message

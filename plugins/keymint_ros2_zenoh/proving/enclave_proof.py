@@ -17,7 +17,7 @@ from comarmor.patterns.expression import exact
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.steps import spend, step_counting_cache
 from comarmor.rules import Effect
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.api import Claim, Counterexample, DomainRange, Endpoint, PolicyDecision, Proof, ProofTask, Verdict
 from keymint.errors import Diagnostic, KeymintError, Reason
 from keymint.pki.examine import enclave_file
@@ -37,8 +37,7 @@ from keymint_ros2_zenoh.proving.key_search import Automaton, Side, difference, s
 from keymint_ros2_zenoh.settings import is_router
 
 
-@dataclass(frozen=True, slots=True)
-class PolicySide:
+class PolicySide(Data):
     """The rights of a subject by its policy.
 
     Attributes:

@@ -20,7 +20,7 @@ from comarmor.patterns.decision_lists import BudgetError, Equal, ProofResult, Se
 from comarmor.patterns.glob import Glob, units
 from comarmor.patterns.steps import StepLimitError, spend, step_limit
 from comarmor.patterns.tokens import ANY, Charset, Star, charset, distinct_letters
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint_ros2_zenoh.keyexpr import ALPHABET, ANY_CHARACTERS, ANY_CHUNK, ANY_CHUNKS, VERBATIM, KeyExpr
 from keymint_ros2_zenoh.lowering.permissions import TYPE_AND_HASH
 
@@ -41,8 +41,7 @@ START = _without(f"/{VERBATIM}{SYNTAX}")
 """First characters of chunks that are not verbatim."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Node:
+class _Node(Data):
     """A state.
 
     Attributes:

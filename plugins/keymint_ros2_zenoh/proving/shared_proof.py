@@ -14,7 +14,7 @@ from contextlib import suppress
 from functools import lru_cache
 from itertools import chain
 
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.api import Claim, Package, Proof, SharedProofTask
 from keymint.errors import KeymintError
 from keymint_ros2_zenoh import keyexpr
@@ -30,8 +30,7 @@ from keymint_ros2_zenoh.proving.enclave_proof import IDENTIFY, MODEL, ROUTE, con
 from keymint_ros2_zenoh.settings import ACCESS, is_router
 
 
-@dataclass(frozen=True, slots=True)
-class Rights:
+class Rights(Data):
     """What a subject may send, or receive, of one message.
 
     Attributes:
@@ -45,8 +44,7 @@ class Rights:
     denied: tuple[keyexpr.KeyExpr, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Leak:
+class Leak(Data):
     """A way around a denial.
 
     Attributes:

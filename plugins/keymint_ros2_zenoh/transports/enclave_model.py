@@ -12,7 +12,7 @@ import hashlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path, PurePosixPath
 
-from comarmor.values import dataclass
+from comarmor.values import Data
 from keymint.api import Availability, Environment, InstalledEnclave, Tier, Transport, Verdict
 from keymint.api.graph import Edge
 from keymint.api.transports import EnclavesBySubject, installed_file
@@ -28,8 +28,7 @@ from keymint_ros2_zenoh.lowering.permissions import TYPE_AND_HASH, Operation, Op
 from keymint_ros2_zenoh.vendors import loopback
 
 
-@dataclass(frozen=True, slots=True)
-class InstalledConfiguration:
+class InstalledConfiguration(Data):
     """An installed configuration and its certificates.
 
     Attributes:
@@ -273,11 +272,11 @@ def edge_verdict(
     return denial
 
 
-@dataclass(frozen=True, slots=True)
 class SimulatedZenoh(Transport):
     """A transport with the model of Zenoh 1.6 and later."""
 
-    environment: Environment
+    def __init__(self, environment: Environment) -> None:
+        self.environment = environment
 
     def usable(self) -> Availability:
         """Return that it is usable."""

@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain, groupby
 
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from keymint.api import Availability, InstalledEnclave, Tier, Verdict
 from keymint.api.graph import Edge
 from keymint.host.vendor_process import VendorTransport
@@ -46,8 +46,7 @@ SETTLE_SECONDS = 0.2
 """How long no sample must arrive after another one has."""
 
 
-@dataclass(slots=True)
-class _SampleTrial:
+class _SampleTrial(Data, frozen=False):
     """An operation of the subject under test, with the enclave that does the other end."""
 
     operation: Operation

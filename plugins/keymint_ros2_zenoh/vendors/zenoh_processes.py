@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from comarmor.text import lazy_regex
-from comarmor.values import dataclass, replace
+from comarmor.values import Data, replace
 from keymint.host.vendor_process import GRACE_SECONDS, CommandProcess, MissingVendorError, ProcessFailedError
 from keymint_ros2_zenoh.documents.configuration import Message
 
@@ -45,8 +45,7 @@ _NO_SUBJECT = lazy_regex(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class LoggedDecision:
+class LoggedDecision(Data):
     """A decision of Zenoh, or of one of several subjects that match the link.
 
     Attributes:

@@ -62,7 +62,7 @@ def test_nothing_is_written_when_nothing_changed(workspace: Workspace) -> None:
 
 def test_a_document_stays_if_only_lines_moved_or_paths_are_written_differently(workspace: Workspace) -> None:
     moved = replace(RULES.rules[0].origin, line=4)
-    rules_ = replace(RULES, rules=(replace(RULES.rules[0], origin=moved), RULES.rules[1]))
+    rules_ = SubjectRules(RULES.subject, (replace(RULES.rules[0], origin=moved), RULES.rules[1]))
     assert workspace.create(rules_) == {}
     (content,) = workspace.create(rules_, force=True).values()
     assert re.search(rb'origin="[^":]*:4[;"]', content)
@@ -70,7 +70,7 @@ def test_a_document_stays_if_only_lines_moved_or_paths_are_written_differently(w
         replace(rule, origin=replace(rule.origin, file=rule.origin.file.replace("/ws/", "../ws/")))
         for rule in RULES.rules
     )
-    assert workspace.create(replace(RULES, rules=spelled)) == {}
+    assert workspace.create(SubjectRules(RULES.subject, spelled)) == {}
 
 
 def test_an_edit_is_kept_while_the_policy_does_not_change(edited: Workspace) -> None:
@@ -95,7 +95,7 @@ def test_force_replaces_an_edit(edited: Workspace, new_rules: SubjectRules) -> N
 
 def test_an_edit_that_the_policy_now_contains_is_no_longer_an_edit(workspace: Workspace) -> None:
     edited = workspace.edit("permissions.xml", "/robot1/chatter", "/robot1/mine")
-    new_rules = replace(RULES, rules=(replace(RULES.rules[0], expressions=("/robot1/mine",)), RULES.rules[1]))
+    new_rules = SubjectRules(RULES.subject, (replace(RULES.rules[0], expressions=("/robot1/mine",)), RULES.rules[1]))
     settled = replace(edited, package={**edited.package, **edited.create(new_rules)})
     assert settled.load().grant.rules == new_rules
     assert replace(settled, package={**settled.package, **settled.create(rules("/x"))}).load()
