@@ -21,7 +21,7 @@ __all__ = ["Data", "field", "replace"]
 _FEW = 50
 """Objects of a class that are made before its ``__init__`` is generated."""
 _DECLARED = "__declared__"
-"""Attribute of a class with its own fields: the type of each, and its default or :func:`dataclasses.field`."""
+"""Attribute of a class with all its fields: the type of each, and its default or :func:`dataclasses.field`."""
 
 
 class _DataType(type):
@@ -43,7 +43,8 @@ class _DataType(type):
         bases = tuple(base for base in bases if base is not Data)
         declared = {name: each for name, each in body.get("__annotations__", {}).items() if "ClassVar" not in str(each)}
         new = _methods(frozen, eq, order) | {name: each for name, each in body.items() if name not in declared}
-        new[_DECLARED] = {name: (each, body.get(name, MISSING)) for name, each in declared.items()}
+        of_bases = [item for base in reversed(bases) for item in _declared(base).items()]
+        new[_DECLARED] = dict(of_bases) | {name: (each, body.get(name, MISSING)) for name, each in declared.items()}
         if slots:
             inherited = {name for base in bases for each in base.__mro__ for name in vars(each).get("__slots__", ())}
             new["__slots__"] = tuple(name for name in declared if name not in inherited)
@@ -87,25 +88,25 @@ class _AtFirstUse:
         return getattr(owner if given is None else given, self._name)  # another thread has made it
 
 
-def _declared(cls: type, part: int = 1) -> dict[str, Any]:
-    """Return a part of what a class and its bases declare of each field: 0 for the type, 1 for the default."""
-    bases = (vars(base).get(_DECLARED, {}) for base in reversed(cls.__mro__))
-    return {name: each[part] for declared in bases for name, each in declared.items()}
+def _declared(cls: type) -> dict[str, tuple[Any, Any]]:
+    """Return what a class and its bases declare of each field, those of its bases first: its type and its default."""
+    declared: dict[str, tuple[Any, Any]] = getattr(cls, _DECLARED, {})
+    return declared
 
 
 def _fields(cls: type) -> dict[str, Field[Any]]:
     """Return the fields of a class by name, those of its bases first; they do not know their names."""
-    defaults = _declared(cls).items()
-    return {name: each if isinstance(each, Field) else field(default=each) for name, each in defaults}
+    declared = _declared(cls).items()
+    return {name: each if isinstance(each, Field) else field(default=each) for name, (_, each) in declared}
 
 
 def _known_fields(cls: type) -> dict[str, Field[Any]]:
     """Return the fields as the library knows them: by name, with their types, and with all that it notes about any."""
-    fields, types, noted = _fields(cls), _declared(cls, 0), _noted()
+    fields, declared = _fields(cls), _declared(cls)
     for name, each in fields.items():
-        for slot, value in noted:
+        for slot, value in _noted():
             setattr(each, slot, value)
-        each.name, each.type, each.kw_only = name, types[name], False
+        each.name, each.type, each.kw_only = name, declared[name][0], False
     return fields
 
 
@@ -124,7 +125,7 @@ def _given(cls: type) -> tuple[list[str], dict[str, Any], dict[str, Callable[[],
     parameters: list[str] = []
     defaults: dict[str, Any] = {}
     factories: dict[str, Callable[[], Any]] = {}
-    for name, each in _declared(cls).items():
+    for name, (_, each) in _declared(cls).items():
         is_described = isinstance(each, Field)
         if not is_described or each.init:
             parameters.append(name)
@@ -206,7 +207,7 @@ def _init(cls: Any) -> Callable[..., None]:
 
 def _compared(cls: type, counts: Callable[[Field[Any]], bool] = operator.attrgetter("compare")) -> Callable[[Any], Any]:
     """Return a function that returns the values of the fields that count, as a tuple if there are several."""
-    names = [name for name, each in _declared(cls).items() if not isinstance(each, Field) or counts(each)]
+    names = [name for name, (_, each) in _declared(cls).items() if not isinstance(each, Field) or counts(each)]
     return operator.attrgetter(*names) if names else lambda _self: ()
 
 

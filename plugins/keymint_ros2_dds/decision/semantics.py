@@ -282,15 +282,13 @@ FAST_DEVIATIONS = (
     _on("data tags", "tags-ignored", "data tags are ignored", tags_count=False),
 )  # fmt: skip
 
-CYCLONE_11_DEVIATIONS = tuple(
-    {
-        "1": _on("1", "trimmed-subject-tokens", "as in 0.10, but blanks around the parts of a name do not count",
-            selects=subject_names.trimmed_parts_occur),
-        "9": _on("9", "topic-check-either", "a topic exists if publishing or subscribing is allowed by its first rule",
-            topic_check=TopicCheck.EITHER),
-    }.get(each.row, each)
-    for each in CYCLONE_DEVIATIONS
-)  # fmt: skip
+_OF_CYCLONE_11 = {
+    "1": _on("1", "trimmed-subject-tokens", "as in 0.10, but blanks around the parts of a name do not count",
+        selects=subject_names.trimmed_parts_occur),
+    "9": _on("9", "topic-check-either", "a topic exists if publishing or subscribing is allowed by its first rule",
+        topic_check=TopicCheck.EITHER),
+}  # fmt: skip
+CYCLONE_11_DEVIATIONS = tuple(_OF_CYCLONE_11.get(each.row, each) for each in CYCLONE_DEVIATIONS)
 FAST_2_11_DEVIATIONS = (
     _on("1", "subject-attributes", "names are compared by their attributes in any order, blanks and quotes aside",
         selects=subject_names.same_attributes),
