@@ -16,7 +16,6 @@ implement it, so files are synchronised one by one there.
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import errno
 import functools
 import itertools
@@ -24,8 +23,9 @@ import os
 import re
 import stat
 from collections.abc import Callable, Iterator
+from importlib import import_module
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from comarmor.text import quote
 from keymint.store.changes import File, file_mode
@@ -43,10 +43,14 @@ _serial = itertools.count()
 def c_function(name: str) -> Callable[..., int] | None:
     """Return a function of the C library that Python lacks, or None if the library lacks it, too."""
     try:
-        found: Callable[..., int] = getattr(ctypes.CDLL(None, use_errno=True), name)
+        found: Callable[..., int] = getattr(_ctypes().CDLL(None, use_errno=True), name)
     except (OSError, AttributeError):
         return None
     return found
+
+
+def _ctypes() -> Any:
+    return import_module("ctypes")  # it takes long, and few runs write many files or exchange names
 
 
 def temporary() -> str:
@@ -228,13 +232,13 @@ def exchange_names(parent: int, one: str, other: str) -> None:
     if function is None:
         raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
     if function(parent, os.fsencode(one), parent, os.fsencode(other), _EXCHANGE):
-        number = ctypes.get_errno()
+        number = _ctypes().get_errno()
         raise OSError(number, os.strerror(number), one, None, other)
 
 
 FEW = 64
 """Number of files up to which they are synchronised one by one."""
-_LOCAL = frozenset({"bcachefs", "btrfs", "ext2", "ext3", "ext4", "f2fs", "overlay", "tmpfs", "xfs", "zfs"})
+_LOCAL = frozenset({"bcachefs", "btrfs", "ext2", "ext3", "ext4", "f2fs", "overlay", "xfs", "zfs"})
 _SINCE = (5, 8)
 
 
@@ -256,11 +260,14 @@ def sync_file_system(opened: int) -> bool:
     Raises:
         OSError: the system could not write everything.
     """
-    function = _syncfs()
-    if function is None or _kind_of(opened) not in _LOCAL:
+    kind = _kind_of(opened)
+    if kind == "tmpfs":
+        return True  # it is in memory
+    function = _syncfs() if kind in _LOCAL else None
+    if function is None:
         return False
     if function(opened):
-        number = ctypes.get_errno()
+        number = _ctypes().get_errno()
         if number in {errno.ENOSYS, errno.EPERM}:
             return False  # a filter of system calls refuses unknown ones
         raise OSError(number, os.strerror(number))

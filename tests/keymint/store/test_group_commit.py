@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import multiprocessing
 import os
@@ -165,7 +166,7 @@ def test_if_synchronising_fails_nothing_becomes_visible(
 
 
 def set_error(number: int) -> int:
-    file_writing.ctypes.set_errno(number)
+    ctypes.set_errno(number)
     return -1
 
 

@@ -37,13 +37,19 @@ def called(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return calls
 
 
-@pytest.mark.parametrize("kind", ["ext4", "xfs", "btrfs", "tmpfs", "overlay"])
+@pytest.mark.parametrize("kind", ["ext4", "xfs", "btrfs", "overlay"])
 def test_a_local_file_system_is_synchronised_at_once(
     folder: int, called: list[int], kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(file_writing, "_kind_of", lambda _: kind)
     assert sync_file_system(folder)
     assert called == [folder]
+
+
+def test_a_file_system_in_memory_needs_no_call(folder: int, called: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(file_writing, "_kind_of", lambda _: "tmpfs")
+    assert sync_file_system(folder)
+    assert called == []
 
 
 @pytest.mark.parametrize("kind", ["nfs4", "cifs", "fuse.sshfs", "9p", "virtiofs", "vboxsf", ""])
@@ -97,7 +103,7 @@ def test_the_real_call_on_the_real_file_system(folder: int) -> None:
     known = Path("/proc/self/mountinfo").read_text().splitlines()
     identifier = file_writing.mount_of(folder).split()[1]
     [kind] = [line.split(" - ")[1].split()[0] for line in known if line.split()[0] == identifier]
-    assert sync_file_system(folder) is (kind in file_writing._LOCAL)
+    assert sync_file_system(folder) is (kind in {"tmpfs", *file_writing._LOCAL})
 
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EACCES, errno.EMFILE])
