@@ -13,6 +13,7 @@ import shlex
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
+from io import FileIO
 from pathlib import Path
 from typing import Any, cast
 
@@ -116,7 +117,8 @@ def entries_of(metadata: str) -> Iterator[PluginInfo]:
     if not os.path.lexists(file):  # as most have none, the cheapest question
         return
     try:
-        content = Path(file).read_bytes()
+        with FileIO(file) as opened:
+            content = opened.readall()
         if b"[keymint." not in content:
             return
         text = content.decode()

@@ -309,7 +309,8 @@ def _installed() -> Iterator[str]:
             continue
         for name in names:
             if name.endswith((".dist-info", ".egg-info")):
-                yield from (f"{name} {_status(f'{folder}/{name}/{file}')}" for file in ("METADATA", "entry_points.txt"))
+                registers = _status(f"{folder}/{name}/entry_points.txt")  # as most have none, the first question
+                yield registers and f"{name} {registers} {_status(f'{folder}/{name}/METADATA')}"
 
 
 def _status(path: str) -> str:
