@@ -113,7 +113,14 @@ def _documents(path: Path) -> Iterator[etree._Element]:
         yield from _documents(path.with_name(include.get("schemaLocation", "")))
 
 
-def validate(root: etree._Element, owner: str, name: str, file: str, chain: tuple[Origin, ...] = ()) -> None:
+def validate(
+    root: etree._Element,
+    owner: str,
+    name: str,
+    file: str,
+    chain: tuple[Origin, ...] = (),
+    among: tuple[str, str] | None = None,
+) -> None:
     """Validate a document against a schema.
 
     Args:
@@ -122,10 +129,14 @@ def validate(root: etree._Element, owner: str, name: str, file: str, chain: tupl
         name: name of the XSD in ``schemas/<owner>/``, without its suffix.
         file: path of the document as the user would type it.
         chain: the places that include the document, innermost first.
+        among: an XSD that includes this one and others, which are compiled together once, and the name of the root
+            element that only this one declares.
 
     Raises:
         ComArmorError: the document is not valid; every defect with ``file:line``, what was expected, and a hint.
     """
+    if among and root.tag == among[1] and _compiled(owner, among[0]).validate(root):
+        return
     compiled = _compiled(owner, name)
     if compiled.validate(root):
         return

@@ -39,12 +39,19 @@ class Reader(Generic[_T]):
         owner: package that owns the schema, e.g. ``keymint_ros``.
         schema_name: name of the schema in ``schemas/<owner>/``, without its suffix.
         convert: turns a valid root element into immutable data, whose places have a line but no file.
+        among: see :func:`comarmor.xml.schema.validate`.
     """
 
-    def __init__(self, owner: str, schema_name: str, convert: Callable[[etree._Element], _T]) -> None:
+    def __init__(
+        self,
+        owner: str,
+        schema_name: str,
+        convert: Callable[[etree._Element], _T],
+        among: tuple[str, str] | None = None,
+    ) -> None:
         @lru_cache(maxsize=_CACHE_SIZE)
         def read(content: bytes) -> _T:
-            return convert(parse(content, _NAMELESS, owner, schema_name))
+            return convert(parse(content, _NAMELESS, owner, schema_name, among))
 
         self._read = read
 
@@ -64,7 +71,9 @@ class Reader(Generic[_T]):
             raise KeymintError.of(_named(diagnostic, name) for diagnostic in error.diagnostics) from None
 
 
-def parse(content: bytes, name: str, owner: str, schema_name: str) -> etree._Element:
+def parse(
+    content: bytes, name: str, owner: str, schema_name: str, among: tuple[str, str] | None = None
+) -> etree._Element:
     """Return the root element of a document that is valid against a schema.
 
     Args:
@@ -72,12 +81,13 @@ def parse(content: bytes, name: str, owner: str, schema_name: str) -> etree._Ele
         name: its path as the user would type it, for messages.
         owner: package that owns the schema.
         schema_name: name of the schema, without its suffix.
+        among: see :func:`comarmor.xml.schema.validate`.
 
     Raises:
         KeymintError: the document is not well-formed or not valid.
     """
     root = reader.parse(content, name)
-    schema.validate(root, owner, schema_name, name)
+    schema.validate(root, owner, schema_name, name, among=among)
     return root
 
 

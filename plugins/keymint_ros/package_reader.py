@@ -43,9 +43,10 @@ def _identity(root: etree._Element) -> tuple[str, IssuedElement]:
 
 
 _element_of_subject = partial(certificate.read, known=certificate.SUBJECT_PLACEHOLDERS)
-_read_identity = Reader("keymint_ros", "identities", _identity)
+_read_identity = Reader("keymint_ros", "identities", _identity, ("certificate_documents", "package"))
+_AMONG = {"identities": ("certificate_documents", "defaults"), "permissions": None}
 _DEFAULTS = {
-    part: Reader("keymint_ros", f"defaults_{part}", _element_of_subject) for part in ("identities", "permissions")
+    part: Reader("keymint_ros", f"defaults_{part}", _element_of_subject, among) for part, among in _AMONG.items()
 }
 _IDENTITIES, _PERMISSIONS = (f"{part}.xml" for part in _DEFAULTS)
 """The documents of a new package."""

@@ -118,8 +118,10 @@ def _policy_path(policy: etree._Element) -> _PathElement:
 
 
 _read_manifest = Reader("keymint_ros", "keymint_profile", _manifest)
-_read_authorities = Reader("keymint_ros", "authorities", _authorities)
-_read_authority_defaults = Reader("keymint_ros", "defaults_authorities", _read_element)
+_read_authorities = Reader("keymint_ros", "authorities", _authorities, ("certificate_documents", "profile"))
+_read_authority_defaults = Reader(
+    "keymint_ros", "defaults_authorities", _read_element, ("certificate_documents", "defaults")
+)
 _read_policies = Reader("keymint_ros", "policies", _policies)
 
 

@@ -199,9 +199,11 @@ def _checked(root: etree._Element) -> etree._Element:
     return root
 
 
-_read = Reader("keymint_ros2_dds", "source_governance", _checked)
+_read = Reader("keymint_ros2_dds", "source_governance", _checked, ("governance_documents", "package"))
 """Reads the governance of a package."""
-_read_defaults = Reader("keymint_ros2_dds", "source_governance_defaults", _checked)
+_read_defaults = Reader(
+    "keymint_ros2_dds", "source_governance_defaults", _checked, ("governance_documents", "defaults")
+)
 """Reads the defaults of a domain rule."""
 
 
