@@ -244,9 +244,9 @@ def _require_unchanged(adoption: Adoption, installed: Work) -> None:
     message = "would be changed by 'keymint install', so it is not taken over"
     help_ = "make it what the other enclaves have, or leave the file out if nothing reads it"
     errors: list[Diagnostic] = []
-    for change in installed.of(INSTALL).changes():
-        for name in (*change.written, *change.removed):
-            if path := copies.get(posixpath.join(change.folder, name)):
+    for folder, written, removed in installed.of(INSTALL).names():
+        for name in (*written, *removed):
+            if path := copies.get(posixpath.join(folder, name)):
                 where = Origin(f"{adoption.files.folder}/{path}")
                 errors.append(Diagnostic.error("adopt-not-kept", message, where, help_))
     if errors:

@@ -1,25 +1,91 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A pool carries out tasks in processes of this machine, and yields the results in order."""
+"""Forked processes, and a pool of them: it carries out tasks, and yields the results in order."""
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import os
 import signal
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from itertools import chain, pairwise
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, BinaryIO, TypeVar
 
+from keymint.api import lazy
 from keymint.errors import process_ended
+from keymint.host.streams_and_signals import held_signals
 
-if TYPE_CHECKING:
-    from multiprocessing.connection import Connection
-
+_dumps, _loads = lazy("pickle:dumps"), lazy("pickle:loads")  # a run in one process needs none of these
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
+_SIZE = 8
+"""Bytes before an answer with its length."""
 PARTS_FOR_EACH = 16
 """Parts of the work for each process: a part that takes longer than the others delays the end less."""
+
+
+class Forked:
+    """A process that was forked from this one, with all that is in its memory, and does one thing.
+
+    Signals do not reach it: it is left to the process that the user started to end the run.
+
+    Args:
+        work: what it does: it is given a pipe that :meth:`tell` writes to, and one to :func:`send` answers.
+        others: processes that were forked before: it must not hold their pipes, or they would not see this one's end.
+    """
+
+    def __init__(self, work: Callable[[int, BinaryIO], object], others: Iterable[Forked] = ()) -> None:
+        told, self._told = os.pipe()
+        answers, sent = os.pipe()
+        self._answers = os.fdopen(answers, "rb")
+        with held_signals():  # the process keeps them blocked
+            self.pid = os.fork()
+            if not self.pid:
+                try:
+                    gc.freeze()  # a search for cycles among the parent's objects would copy their pages
+                    for each in (self, *others):
+                        each._close()  # noqa: SLF001
+                    work(told, os.fdopen(sent, "wb"))
+                finally:
+                    os._exit(0)
+        os.close(told)
+        os.close(sent)
+
+    def tell(self) -> None:
+        """Let the process go on that waits for it."""
+        with contextlib.suppress(OSError):  # it ended, which its missing answer tells
+            os.write(self._told, b"!")
+
+    def receive(self) -> Any:
+        """Return the next answer.
+
+        Raises:
+            EOFError: the process ended.
+        """
+        size = int.from_bytes(self._answers.read(_SIZE))
+        answer = self._answers.read(size)
+        if not size or len(answer) < size:
+            raise EOFError
+        return _loads(answer)
+
+    def end(self) -> None:
+        """End the process, whatever it does."""
+        self._close()
+        os.kill(self.pid, signal.SIGKILL)
+        os.waitpid(self.pid, 0)
+
+    def _close(self) -> None:
+        os.close(self._told)
+        self._answers.close()
+
+
+def send(pipe: BinaryIO, answer: bytes) -> None:
+    """Send what was pickled to the process that :meth:`Forked.receive` is called in."""
+    pipe.write(len(answer).to_bytes(_SIZE))
+    pipe.write(answer)
+    pipe.flush()
 
 
 class Pool:
@@ -53,25 +119,23 @@ class Pool:
         if count < 2:  # noqa: PLR2004 - nothing to do at the same time
             yield from map(work, tasks)
             return
-        from multiprocessing import get_context  # noqa: PLC0415 - few runs need it
-
-        context, pipes = get_context("fork"), []
         left, given = os.pipe()  # numbers of tasks: whoever is ready takes the next one
         os.write(given, b"".join(number.to_bytes(2) for number in range(len(tasks) - 1)))
         os.close(given)
-        for _ in range(count - 1):
-            here, there = context.Pipe(duplex=False)
-            # A forked process has the tasks already: they need not be sent to it.
-            context.Process(target=_answer, args=(there, work, tasks, left), daemon=True).start()
-            there.close()
-            pipes.append(here)
-        found = _results(work, tasks, left, [len(tasks) - 1])
-        os.close(left)
+        others: list[Forked] = []
         try:
-            for pipe in pipes:
-                found |= pipe.recv()
+            for _ in range(count - 1):
+                # A forked process has the tasks already: they need not be sent to it.
+                others.append(Forked(partial(_answer, work, tasks, left), others))
+            found = _results(work, tasks, left, [len(tasks) - 1])
+            for each in others:
+                found |= each.receive()
         except EOFError as lost:
             raise process_ended("executor-lost") from lost
+        finally:
+            os.close(left)
+            for each in others:
+                each.end()
         for number in range(len(tasks)):  # what nobody took comes after one that failed
             result, error = found[number]
             if error is not None:
@@ -96,12 +160,9 @@ def _results(work: Callable[[Any], Any], tasks: Sequence[Any], left: int, first:
     return found
 
 
-def _answer(pipe: Connection, work: Callable[[Any], Any], tasks: Sequence[Any], left: int) -> None:
-    """Carry out tasks in a process of its own; it is left to the one that the user started to end the run."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    gc.freeze()  # a search for cycles among the parent's objects would copy their pages
-    pipe.send(_results(work, tasks, left))
+def _answer(work: Callable[[Any], Any], tasks: Sequence[Any], left: int, _: int, pipe: BinaryIO) -> None:
+    """Carry out tasks in a process of its own."""
+    send(pipe, _dumps(_results(work, tasks, left)))
 
 
 def divide(items: Sequence[Task], number: int) -> list[Sequence[Task]]:

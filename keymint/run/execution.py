@@ -15,7 +15,6 @@ ones: so its memory has no more than these in full.
 from __future__ import annotations
 
 import contextlib
-import gc
 import itertools
 import os
 import sys
@@ -26,12 +25,11 @@ from dataclasses import fields, replace
 from datetime import datetime
 from functools import partial
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from keymint.api import lazy
 from keymint.authority.authorities import STAGE as AUTHORITIES
 from keymint.errors import KeymintError, process_ended
-from keymint.host.streams_and_signals import held_signals
 from keymint.life.examine import IGNORED, ORPHANED, RIGHTS_OUTLIVE
 from keymint.life.revocation_lists_in_force import loaded_lists
 from keymint.output.console import Console
@@ -51,11 +49,13 @@ from keymint.workspace.session import Inputs, Session
 from keymint.workspace.workspace import Workspace
 
 if TYPE_CHECKING:
-    from multiprocessing.connection import Connection
     from queue import SimpleQueue
+
+    from keymint.host.pool import Forked
 
 # A run in one process needs none of these.
 _dumps, _loads, _queue = lazy("pickle:dumps"), lazy("pickle:loads"), lazy("queue:SimpleQueue")
+_fork, _send = lazy("keymint.host.pool:Forked"), lazy("keymint.host.pool:send")
 
 MIN_PACKAGES = 64
 """Packages from which on processes are worth their start."""
@@ -90,8 +90,7 @@ class Workers(Crew):
         self._count = count
         self.monotonic = monotonic
         self._have_staged = False
-        self._processes: list[Any] = []
-        self._pipes: list[Connection] = []
+        self._processes: list[Forked] = []
         self._own: list[tuple[Any, ...]] = []
         """What this process answers itself."""
         self._sources: Sequence[Callable[[], Any]] = ()
@@ -108,32 +107,21 @@ class Workers(Crew):
         # A module of a token must not be used in a forked process (PKCS #11, C_Initialize), and one session is enough.
         if any(authority.certificate.key.uri for authority in session.profile.authorities):
             return
-        import multiprocessing  # noqa: PLC0415 - takes 20 ms, and few runs need it
-
         # What the first packages need is imported, compiled and proven once for all processes.
         with contextlib.suppress(KeymintError):
             for _ in _plan((session, names[:FIRST], stages, self.new)):
                 pass
         _trim()  # the processes inherit what the parsed policy took and is free
-        context = multiprocessing.get_context("fork")
         for part in parts[1:]:
-            here, there = context.Pipe()
-            process = context.Process(
-                target=_work, args=(there, [*self._pipes, here], (session, part, stages, self.new))
-            )
-            with held_signals():  # the process keeps them blocked: this one decides
-                process.start()
-            there.close()
-            self._processes.append(process)
-            self._pipes.append(here)
-        self._sources = [partial(self._own.pop, 0), *(pipe.recv for pipe in self._pipes)]
+            self._processes.append(_fork(partial(_work, (session, part, stages, self.new)), self._processes))
+        self._sources = [partial(self._own.pop, 0), *(each.receive for each in self._processes)]
         with _refusing(self._own.append):
             for planned, _ in _plan((session, parts[0], stages, self.new)):
                 self._own.append((_DONE, planned))
 
     def planned(self, stage: PackageStage, names: Sequence[str]) -> list[Any]:
         """See :meth:`keymint.stages.work.Crew.planned`."""
-        if not self._pipes:
+        if not self._processes:
             return super().planned(stage, names)
         found = (each for source in self._sources for part in _answers(source) for each in part)
         return [_plan_of(each) if isinstance(each, tuple) else each for each in found]
@@ -149,9 +137,8 @@ class Workers(Crew):
             KeymintError: the system refuses a write; what others staged is discarded.
         """
         self._have_staged = True
-        for pipe in self._pipes:
-            with contextlib.suppress(OSError):  # the process ended, which its missing answer tells
-                pipe.send(None)
+        for process in self._processes:
+            process.tell()
         by_process: list[list[Sequence[Exchange]]] = []
         errors: list[KeymintError] = []
         with _refusing(self._own.append):
@@ -181,13 +168,9 @@ class Workers(Crew):
 
     def close(self) -> None:
         """End all processes; what they did not stage is lost."""
-        for pipe in self._pipes:
-            pipe.close()
         for process in self._processes:
-            process.kill()
-            process.join()
+            process.end()
         self._processes.clear()
-        self._pipes.clear()
         self._own.clear()
 
 
@@ -270,20 +253,17 @@ def _answers(receive: Callable[[], Any]) -> Iterator[list[Any]]:
         yield answer[0]
 
 
-def _work(pipe: Connection, inherited: Sequence[Connection], task: _Task) -> None:
+def _work(task: _Task, told: int, pipe: BinaryIO) -> None:
     """Plan packages and send the plans stage by stage; stage them when the parent says so.
 
     This runs in a process of its own.
     """
-    gc.freeze()  # a search for cycles among the parent's objects would copy their pages
-    for each in inherited:  # otherwise this process would not see that the parent ended
-        each.close()
     answers: SimpleQueue[bytes | None] = _queue()
 
     def deliver() -> None:
         with contextlib.suppress(OSError):  # the parent ended
             for answer in iter(answers.get, None):
-                pipe.send_bytes(answer)
+                _send(pipe, answer)
 
     def send(answer: tuple[Any, ...]) -> None:
         answers.put(_dumps(answer))
@@ -291,11 +271,12 @@ def _work(pipe: Connection, inherited: Sequence[Connection], task: _Task) -> Non
     # A pipe takes little before the parent reads, which plans a part itself: this process must not wait for that.
     sender = threading.Thread(target=deliver, daemon=True)
     sender.start()
-    with contextlib.suppress(EOFError, OSError):
+    with contextlib.suppress(OSError):
         try:
             with _refusing(send):
                 changes = _planned_in_parts(answers.put, task)
-                pipe.recv()
+                if not os.read(told, 1):  # the parent ended
+                    return
                 store = open_store(task[0].workspace)
                 send((_DONE, [[each for part in of_stage for each in store.stage(part)] for of_stage in changes]))
                 seen = [*store.seen.items()]
@@ -487,9 +468,11 @@ def require_register(plan: Plan, inputs: Inputs) -> None:
 
 def _staged(plan: Plan, record: Iterable[FolderChange], store: Store, workers: Workers) -> Sequence[Exchange]:
     """Stage a plan and its record. What other processes hold comes before what is removed."""
-    if not any(change.held for change in plan.changes()):
+    folders = [str(change.folder) for change in plan.changes() if change.held]
+    if not folders and not any(plan.held()):
         return store.stage((*plan.changes(), *record))
-    store.make_common(str(change.folder) for change in plan.changes() if change.held)
+    of_packages = (folder for each in plan.held() for folder in each.folders())
+    store.make_common(itertools.chain(folders, of_packages))
     _trim()  # the register and the record of a large fleet take memory
     removals = Plan(tuple(step for step in plan.steps if step.action is Action.REMOVED), plan.state)
     others = replace(plan, steps=tuple(step for step in plan.steps if step.action is not Action.REMOVED))

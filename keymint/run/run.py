@@ -366,7 +366,7 @@ class Run:
             if planned is None or shared or workspace.exists() or workspace.state.joinpath(RECORD).exists():
                 planned = self._planned_again(workspace, make_plan)
             below = tuple(f"{root}/" for root in store.missing)
-            writes_there = any(f"{folder}/".startswith(below) for folder in planned[1].folders())
+            writes_there = any(f"{folder}/".startswith(below) for folder, _, _ in planned[1].names())
             if writes_there and store.lock_missing(self.console.waiting):
                 planned = self._planned_again(workspace, make_plan)
             (inputs, plan, sight), planned = planned, None
@@ -378,8 +378,7 @@ class Run:
             with self.console.progress(len(plan.steps), self.setting.monotonic) as advance:
                 visible = execute(plan, inputs, store, self.crew, advance, intent, guards, log)
             plan = plan.carried_out(POLICY)
-            changes = itertools.chain(guards, plan.changes(), log)
-            names = ((str(each.folder), each.written, each.removed) for each in changes)
+            beside = ((str(each.folder), each.written, each.removed) for each in itertools.chain(guards, log))
             written = clock_now(workspace.state)
             report = self.report(
                 self.outcome or self.result, plan.diagnostics, exit_code(plan), workspace=workspace, steps=plan.steps
@@ -387,6 +386,7 @@ class Run:
 
             def look() -> Sight | None:
                 store.seen.update(self.crew.seen())
+                names = itertools.chain(beside, plan.names())
                 return sight.after(names, visible, clock(workspace.state, written), store.seen)
 
             remember(self.setting.call, inputs, plan, self.presented(report), look, store, self.console)

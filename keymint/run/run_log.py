@@ -47,7 +47,7 @@ def log_change(
         now: the clock, UTC.
     """
     workspace, private = inputs.workspace, str(inputs.workspace.private)
-    writes_there = (f"{folder}/".startswith(f"{private}/") for folder in plan.folders())
+    writes_there = (f"{folder}/".startswith(f"{private}/") for folder, _, _ in plan.names())
     if not plan.writes() or not (os.access(private, os.W_OK | os.X_OK) or any(writes_there)):
         return ()
     try:

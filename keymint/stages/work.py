@@ -345,7 +345,7 @@ class Work(Data):
             return self.noting(*plan.diagnostics) if plan.diagnostics else self
         after = self.session.after(plan)
         profile = f"{self.session.workspace.profile}/"
-        if any(f"{folder}/".startswith(profile) for folder in plan.folders()):
+        if any(f"{folder}/".startswith(profile) for folder, _, _ in plan.names()):
             after = after.session()
         names = [name for name, _ in self.parts]
         place = names.index(before) if before and before in names else len(names)

@@ -172,16 +172,17 @@ class Plan(Data):
         return frozenset(step.package for step in self.steps if step.action in actions)
 
     def changes(self) -> Iterator[FolderChange]:
-        """Yield all changes, in order."""
-        return itertools.chain(self.first, (change for step in self.steps for change in step.changes))
+        """Yield all changes, in order, but those of :meth:`held`: another process writes these."""
+        own = (step.changes for step in self.steps if not isinstance(step.changes, HeldChanges))
+        return itertools.chain(self.first, itertools.chain.from_iterable(own))
 
-    def folders(self) -> Iterator[str]:
-        """Yield the folder of each change, in order."""
-        yield from (str(change.folder) for change in self.first)
-        for changes in (step.changes for step in self.steps):
-            yield from (
-                changes.folders() if isinstance(changes, HeldChanges) else [str(change.folder) for change in changes]
-            )
+    def names(self) -> Iterator[tuple[str, Iterable[str], Iterable[str]]]:
+        """Yield the folder of each change, with the names of the files that are written there, and removed."""
+        for change in self.changes():
+            yield str(change.folder), change.written, change.removed
+        for held in self.held():
+            for around, names, _ in held.places:
+                yield f"{around}{held.name}", names, ()
 
     def held(self) -> Iterator[HeldChanges]:
         """Yield the packages that another process holds, of which little is kept."""

@@ -26,6 +26,8 @@ class Roots:
         self.private = {str(root): roots[root] for root in sorted(roots, key=lambda each: -len(each.parts))}
         self.kept = frozenset((*self.private, str(records)))
         """The folders that are kept even if they are empty, and never replaced: they may be mount points."""
+        self.common: set[str] = set()
+        """Folders that are new, and in which several processes stage: none of these replaces them."""
         self._prefixes = {f"{root}/": root for root in self.private}
 
     def of(self, path: str) -> str:

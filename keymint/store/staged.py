@@ -148,7 +148,7 @@ class Staging:
         root = self._roots.of(folder)
         closed = self._roots.private[root]
         private = closed or change.private or any(file.secret for file in change.files.values())
-        if folder in self._roots.kept:
+        if folder in self._roots.kept or folder in self._roots.common:
             self._kept.append((order, folder, change, private))
             return
         content = self._trees.setdefault(root, FolderContent())

@@ -279,7 +279,10 @@ class Store:
         with OpenFolders(self._roots) as opened:
             for first, last in ends.values():
                 if first != last:
-                    opened.open(os.path.commonpath([first, last]))
+                    common = os.path.commonpath([first, last])
+                    if not os.path.lexists(common):
+                        self._roots.common.add(common)
+                    opened.open(common)
 
     def commit(self, staged: Sequence[Exchange]) -> None:
         """Make staged changes visible and durable, in order; see :mod:`keymint.store.group_commit`.

@@ -234,7 +234,7 @@ class Session(Inputs, Data):
     def after(self, plan: Plan) -> Self:
         """Return the session as it is once a plan is carried out."""
         src, made = f"{self.workspace.src}/", self._made_of_sources
-        changed = {f"{folder}/" for folder in plan.folders() if folder.startswith(src)}
+        changed = {f"{folder}/" for folder, _, _ in plan.names() if folder.startswith(src)}
         if changed:
             files = [key for key in made if key[0] == _FILES]
             made = {

@@ -257,13 +257,13 @@ def missing_gitignores(workspace: Workspace, plan: Plan) -> Sequence[FolderChang
     spaces = (workspace.private, workspace.build, workspace.install, workspace.next_install, workspace.state)
     present = (space for space in spaces if space != workspace.next_install and space.is_dir())
     kept = [space for space in present if not space.is_symlink() and os.access(space, os.W_OK)]
+
+    def is_written(space: Path) -> bool:
+        place = "" if space == workspace.state else f"{space}/"  # whatever is written, there is the record of it
+        return any(f"{folder}/".startswith(place) for folder, names, _ in plan.names() if names)
+
     return [
         FolderChange(space, {GITIGNORE: File(_IGNORES_ALL)}, private=space == workspace.private)
         for space in spaces
-        if not os.path.lexists(space / GITIGNORE)
-        and (
-            space in kept
-            or any(f"{each.folder}/".startswith(f"{space}/") for each in plan.changes() if each.written)
-            or (space == workspace.state and any(each.written for each in plan.changes()))  # it has the record of that
-        )
+        if not os.path.lexists(space / GITIGNORE) and (space in kept or is_written(space))
     ]

@@ -45,16 +45,17 @@ execution.MIN_PACKAGES, execution.MOST_PACKAGES = 10, 4
 sys.exit(main(sys.argv[1:]))
 """
 SPY = """
-import multiprocessing.connection, os, sys
+import os, sys
+from keymint.host import pool
 from keymint.run import execution
 from keymint.cli import main
 execution.MIN_PACKAGES, execution.MOST_PACKAGES = 10, 4
-whole = multiprocessing.connection.Connection._send_bytes
-def copied(self, content):
+whole = pool.send
+def copied(pipe, content):
     with open(f"{os.environ['SPY']}/{os.getpid()}", "ab") as file:
         file.write(content)
-    whole(self, content)
-multiprocessing.connection.Connection._send_bytes = copied
+    whole(pipe, content)
+pool.send = copied
 sys.exit(main(sys.argv[1:]))
 """
 ENDED = """
@@ -170,7 +171,7 @@ stage = Workers.stage
 def staged(self, store, changes):
     process = self._processes[-1]
     os.kill(process.pid, signal.SIGKILL)
-    process.join()
+    os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
     return stage(self, store, changes)
 Workers.stage = staged
 sys.exit(main(sys.argv[1:]))

@@ -56,9 +56,9 @@ def test_what_another_process_holds_is_seen_but_not_read(tmp_path: Path) -> None
     plan = held(src, keys, "r0/talker").then(held(src, keys, "r0/camera")).then(held(src, keys, "r1"))
     names = ("r0/talker", "r0/camera", "r1")
     assert plan.writes()
-    assert [*plan.folders()] == [str(each.folder) for each in plan.changes()]
-    assert [*plan.folders()] == [f"{space}/{name}" for name in names for space in (src, keys)]
-    assert [[*each.written] for each in plan.changes()] == [["a.xml", "b.xml"], ["key.pem"]] * 3
+    assert not [*plan.changes()]
+    assert [folder for folder, _, _ in plan.names()] == [f"{space}/{name}" for name in names for space in (src, keys)]
+    assert [[*written] for _, written, _ in plan.names()] == [["a.xml", "b.xml"], ["key.pem"]] * 3
     tree = Tree().overlaid(plan.overlay(), plan.held())
     assert [tree.digest(src / name / "a.xml") for name in names] == [digest(name) for name in names]
     assert tree.names(tmp_path) == [("keys", True), ("src", True)]
@@ -90,7 +90,7 @@ def test_a_plan_that_is_carried_out_keeps_what_is_reported(tmp_path: Path) -> No
     content = File(lambda: (b"x",))
     whole = Plan((), State().updated("policy", {"a": Stamp("", {})}), (), (FolderChange(tmp_path, {"r": content}),))
     plan = whole.then(held(tmp_path, tmp_path / "keys", "r0")).carried_out("policy")
-    assert [(str(each.folder), [*each.written]) for each in plan.changes()] == [
+    assert [(folder, [*written]) for folder, written, _ in plan.names()] == [
         (str(tmp_path), ["r"]), (f"{tmp_path}/r0", ["a.xml", "b.xml"]), (f"{tmp_path}/keys/r0", ["key.pem"]),
     ]  # fmt: skip
     assert not any(each.files for each in plan.changes())

@@ -121,6 +121,20 @@ def test_what_another_process_staged_inside_a_replaced_folder_moves_along(
     assert {(top / name).read_bytes() for name in new} == {b"new"}
 
 
+def test_a_folder_that_was_made_for_several_processes_is_not_replaced(root: Path, store: Store) -> None:
+    top = root / "install" / "enclaves"
+    shared = FolderChange(top, {"g.xml": PUBLIC, "g.p7s": PUBLIC})
+    store.make_common(str(top / name) for name in ("robot", "other"))
+    made = top.stat().st_ino
+    staged = (*store.stage([shared, *changes(root, "robot")]), *store.stage(changes(root, "other")))
+    assert not any(each.replaces for each in staged)
+    assert files(root) == set()
+    store.commit(staged)
+    enclaves = {f"install/enclaves/{name}/{file}" for name in ("robot", "other") for file in ENCLAVE}
+    assert files(root, temporary=True) == {*enclaves, "install/enclaves/g.xml", "install/enclaves/g.p7s"}
+    assert top.stat().st_ino == made
+
+
 def test_files_of_a_folder_are_removed_while_another_process_changes_what_is_inside(root: Path, store: Store) -> None:
     store.change(changes(root, "robot", "robot/talker"))
     top = root / "install" / "enclaves" / "robot"
