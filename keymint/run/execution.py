@@ -543,7 +543,7 @@ def record_answer(
     updates = (each.next_update for each in loaded_lists(session).values())
     content = record(call, str(session.workspace.root), sight, seen, (*dates, *ends, *updates), answer)
     if content is not None:
-        store.write(session.workspace.state, {name_of(call): File(content)})
+        store.write_hint(name_of(call), content)
 
 
 def next_report(plan: Plan, report: Report) -> Report | None:

@@ -30,7 +30,6 @@ from keymint.view.file_reading import SUFFIX, is_temporary
 
 WAITING = ".next"
 """Suffix of the name of a complete new folder whose place is being cleared."""
-_NONE: Mapping[int, bool] = {}
 
 
 def commit(
@@ -53,10 +52,9 @@ def commit(
     old: list[tuple[Exchange, str]] = []
     with OpenFolders(roots, create=False) as folders:
         try:
-            whole = _sync(exchanges, folders, staged=True)
+            # The next run looks for the temporary names in the journal, so they must be durable before it.
+            whole = _sync(exchanges, folders, names=ready is not None)
             if ready is not None:
-                # Their temporary names must be durable as well, since the next run looks for them.
-                _sync(exchanges, folders, staged=False, done=whole)
                 recorded = True
                 ready(tuple(exchange for group in groups for exchange in group))
             for group in groups:
@@ -67,13 +65,13 @@ def commit(
                         left = make_visible(folders.open(exchange.folder), exchange)
                     if left is not None:
                         old.append((exchange, left))
-                _sync(group, folders, staged=False)
+                _sync(group, folders, whole)
             cleared = [exchange for exchange, _ in old]
             while old:
                 _clear_away(*old[-1], folders)
                 old.pop()
             # A run takes its mark back after this, and the next run removes what is left only if there is a mark.
-            _sync(cleared, folders, staged=False)
+            _sync(cleared, folders, whole)
         except BaseException:
             for exchange, left in old:
                 with contextlib.suppress(Exception):
@@ -86,25 +84,15 @@ def commit(
 def _in_order(exchanges: Iterable[Exchange], roots: Roots) -> list[list[Exchange]]:
     """Return groups of exchanges; each group must be durable before the next one begins.
 
-    Within a group, a loss of power may leave any of the exchanges. But what was signed must not outlive its keys, so
-    they come first; and a file directly in a root, such as that of a profile or the key of an authority, tells that
-    what comes before it is there, and what comes after it is recognised by it.
+    Within a group, a loss of power may leave any of the exchanges: the next run finishes the others by its journal. But
+    the register comes first, which stands before all other files of the private space, and keys before what is signed.
     """
-    keys: list[Exchange] = []
+    private: list[Exchange] = []
     others: list[Exchange] = []
     for exchange in exchanges:
-        is_key = exchange.staged is not None and roots.private[roots.of(exchange.folder)]
-        (keys if is_key else others).append(exchange)
-    groups: list[list[Exchange]] = []
-    for of_kind in (keys, others):
-        begins = True
-        for exchange in of_kind:
-            is_mark = exchange.file and exchange.folder in roots.kept
-            if is_mark or begins:
-                groups.append([])
-            groups[-1].append(exchange)
-            begins = is_mark
-    return groups
+        is_private = exchange.staged is not None and roots.private[roots.of(exchange.folder)]
+        (private if is_private else others).append(exchange)
+    return [group for group in (private[:1], private[1:], others) if group]
 
 
 def make_visible(folder: int, exchange: Exchange) -> str | None:
@@ -284,37 +272,39 @@ def _move_along(exchange: Exchange, moved: Exchange, folders: OpenFolders) -> No
 
 
 def _sync(
-    exchanges: Sequence[Exchange], folders: OpenFolders, *, staged: bool, done: Mapping[int, bool] = _NONE
+    exchanges: Sequence[Exchange],
+    folders: OpenFolders,
+    whole: Mapping[int, bool] | None = None,
+    *,
+    names: bool = True,
 ) -> Mapping[int, bool]:
-    """Synchronise what was staged, or the names that were exchanged.
+    """Synchronise what was staged, and the folders in which names change.
 
     Args:
         exchanges: the names.
         folders: opens their folders.
-        staged: synchronise what was staged for them, else the names.
-        done: file systems by their number, with whether they were synchronised as a whole since.
+        whole: if only names changed since: file systems by their number, with whether each was synchronised as a whole.
+        names: synchronise the folders.
 
     Returns:
-        The same after it.
+        Such file systems.
     """
     of_folder: dict[str, list[Exchange]] = {}
     for exchange in exchanges:
         of_folder.setdefault(exchange.folder, []).append(exchange)
-    size = sum(each.size for each in exchanges) if staged else len(of_folder)
-    done = dict(done)
-    synced: set[str] = set()
+    is_many = sum(each.size for each in exchanges) > FEW if whole is None else len(of_folder) > 1
+    done: dict[int, bool] = {}
     for folder, changing in of_folder.items():
         with reported(folder):
             opened = folders.open(folder)
             device = os.fstat(opened).st_dev
             if device not in done:
-                done[device] = size > FEW and sync_file_system(opened)
+                done[device] = is_many and (whole is None or whole[device]) and sync_file_system(opened)
             if done[device]:
                 continue
-            if not staged:
-                folders.sync(folder, synced)
-                continue
-            for exchange in changing:
+            for exchange in changing if whole is None else ():
                 if exchange.staged is not None:
                     sync_tree(opened, exchange.staged)
+            if names:
+                folders.sync(folder)
     return done

@@ -159,10 +159,9 @@ def recover(journal: Journal, roots: Roots) -> Journal:
         for exchange in exchanges:
             if _is_pending(exchange):  # asked late, since one may contain another one
                 commit(roots, [exchange], lambda _: None)
-        synced: set[str] = set()
         with OpenFolders(roots, create=False) as folders:
             for folder in {each.folder for each in exchanges if os.path.isdir(each.folder)}:
-                folders.sync(folder, synced)
+                folders.sync(folder)
     return replace(journal, exchanges=(), finished=finished)
 
 

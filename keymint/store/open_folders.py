@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import stat
 from collections.abc import Mapping
@@ -28,6 +29,10 @@ class Roots:
         """The folders that are kept even if they are empty, and never replaced: they may be mount points."""
         self.common: set[str] = set()
         """Folders that are new, and in which several processes stage: none of these replaces them."""
+        self.created: set[str] = set()
+        """The roots that were created and whose names are not synchronised yet."""
+        self.certain: set[str] = set()
+        """The folders below a root whose names are synchronised, with all on the way to them."""
         self._prefixes = {f"{root}/": root for root in self.private}
 
     def of(self, path: str) -> str:
@@ -101,10 +106,7 @@ class OpenFolders(contextlib.AbstractContextManager["OpenFolders"]):
                 Path(root).parent.mkdir(parents=True, exist_ok=True)
                 with contextlib.suppress(FileExistsError):
                     make_folder(root, 0o700 if self._roots.private[root] else 0o755)
-                above = os.path.dirname(root)
-                if os.access(above, os.R_OK):
-                    with open_at(above) as opened:
-                        os.fsync(opened)
+                    self._roots.created.add(root)
             return os.open(root, FOLDER)
 
     def _enter(self, folder: int, name: str, mode: int) -> int:
@@ -117,22 +119,27 @@ class OpenFolders(contextlib.AbstractContextManager["OpenFolders"]):
                 make_folder(name, mode, folder)
             return os.open(name, FOLDER, dir_fd=folder)
 
-    def sync(self, path: str, done: set[str]) -> None:
-        """Synchronise a folder and those on the way to it, which may be new.
+    def sync(self, path: str) -> None:
+        """Synchronise a folder, and those on the way to it once, which may be new, as the root may be.
 
         Args:
             path: the folder.
-            done: the folders that are synchronised already; extended.
 
         Raises:
             KeymintError: the system could not write everything.
         """
         self.open(path)
-        for reached, opened in self._way:
-            if reached not in done:
+        root, certain = self._way[0][0], self._roots.certain
+        above = os.path.dirname(root)
+        if root in self._roots.created and os.access(above, os.R_OK):
+            with reported(root), open_at(above) as opened:
+                os.fsync(opened)
+        for (reached, opened), (below, _) in itertools.pairwise((*self._way, (path, 0))):
+            if reached == path or below not in certain:
                 with reported(reached):
                     os.fsync(opened)
-                done.add(reached)
+        self._roots.created.discard(root)
+        certain.update(reached for reached, _ in self._way)
 
 
 def close_to_others(opened: int) -> None:

@@ -27,7 +27,7 @@ from time import sleep  # waits, and does not tell the time
 from keymint.store import journal
 from keymint.store.changes import File, FolderChange
 from keymint.store.file_writing import FILE, reported
-from keymint.store.group_commit import commit
+from keymint.store.group_commit import commit, make_visible
 from keymint.store.journal import Journal
 from keymint.store.open_folders import OpenFolders, Roots
 from keymint.store.staged import Exchange, Staging, remove_staged, rmtree
@@ -308,6 +308,13 @@ class Store:
     def write(self, folder: Path, files: Mapping[str, File]) -> None:
         """Write files into a folder, all in one step; see :meth:`change`."""
         self.change([FolderChange(folder, files)])
+
+    def write_hint(self, name: str, content: bytes) -> None:
+        """Write a file of the folder of records that a loss of power may damage: who reads it finds that out."""
+        staged = self.stage([FolderChange(self._records, {name: File(content)})])
+        with OpenFolders(self._roots) as folders, reported(self._records / name):
+            for exchange in staged:
+                make_visible(folders.open(exchange.folder), exchange)
 
 
 def _temporary_paths(roots: Iterable[str]) -> Iterator[str]:

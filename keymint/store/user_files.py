@@ -42,11 +42,10 @@ def write_files(
                 parts.enter_context(_written(folders, path, file, on_wait))
             for path in files:
                 with reported(path):
-                    folder = folders.open(str(path.parent))
-                    os.rename(_part(path), path.name, src_dir_fd=folder, dst_dir_fd=folder)
-            synced: set[str] = set()
-            for path in files:
-                folders.sync(str(path.parent), synced)
+                    opened = folders.open(str(path.parent))
+                    os.rename(_part(path), path.name, src_dir_fd=opened, dst_dir_fd=opened)
+            for folder in {path.parent for path in files}:
+                folders.sync(str(folder))
 
 
 def _part(path: Path) -> str:

@@ -212,33 +212,28 @@ def test_keys_are_durable_before_anything_else_appears(
     assert ("ws/install", states[2]) in synchronised
 
 
-def test_a_key_is_durable_before_the_one_that_takes_the_place_of_its_original(
+def test_the_first_private_file_is_durable_before_anything_else_appears(
     root: Path, store: Store, synchronised: list[tuple[str, frozenset[str]]]
 ) -> None:
-    """Else a loss of power between the two would lose the key of an authority that is replaced."""
+    """It is the register: else a loss of power could leave a certificate without an entry."""
     (root / "private").mkdir(parents=True)
-    store.change([FolderChange(root / "private", {"ca.former.key.pem": SECRET, "ca.key.pem": SECRET})])
+    store.change([FolderChange(root / "private", {"register.sqlite3": SECRET, "ca.key.pem": SECRET})])
     states = list(dict.fromkeys(found for _, found in synchronised))
-    former = {"private/ca.former.key.pem"}
-    assert states == [frozenset(), former, {*former, "private/ca.key.pem"}]
+    register = {"private/register.sqlite3"}
+    assert states == [frozenset(), register, {*register, "private/ca.key.pem"}]
     assert ("ws/private", states[1]) in synchronised
 
 
-def test_a_file_of_a_profile_is_durable_before_what_is_recognised_by_it(
-    root: Path, synchronised: list[tuple[str, frozenset[str]]]
+def test_folders_that_may_be_new_are_synchronised_with_those_around_them_and_once(
+    store: Store, root: Path, synchronised: list[tuple[str, frozenset[str]]]
 ) -> None:
-    """Else enclaves could trust the next authority, and no profile say so."""
-    for folder in (root / "install/enclaves", root / "profile"):
-        folder.mkdir(parents=True)
-    before, after = changes(root, "a"), changes(root, "b")
-    Store({root / "install": False, root / "profile": False}, root / ".keymint").change(
-        [*before, FolderChange(root / "profile", {"authorities.xml": PUBLIC}), *after]
-    )
-    states = list(dict.fromkeys(found for _, found in synchronised))
-    first, last = ({f"install/enclaves/{name}/{file}" for file in ENCLAVE} for name in "ab")
-    profile = {"profile/authorities.xml"}
-    assert states == [frozenset(), first, first | profile, first | profile | last]
-    assert ("ws/profile", states[2]) in synchronised
+    found = []
+    for name in ("a", "b", "c"):
+        store.change(changes(root, name))
+        found.append([path for path, _ in synchronised if ".keymint-" not in path])
+        synchronised.clear()
+    enclaves = "ws/install/enclaves"
+    assert found == [["ws", "ws/install"], ["ws/install", enclaves], [enclaves]]
 
 
 def test_a_file_that_someone_adds_to_a_removed_folder_stays(
