@@ -40,15 +40,26 @@ class _DataType(type):
     ) -> Any:
         if not bases:
             return super().__new__(cls, name, bases, body)
-        bases = tuple(base for base in bases if base is not Data)
-        declared = {name: each for name, each in body.get("__annotations__", {}).items() if "ClassVar" not in str(each)}
-        new = _methods(frozen, eq, order) | {name: each for name, each in body.items() if name not in declared}
-        of_bases = [item for base in reversed(bases) for item in _declared(base).items()]
-        new[_DECLARED] = dict(of_bases) | {name: (each, body.get(name, MISSING)) for name, each in declared.items()}
+        # Loops, since a comprehension takes longer than what most of these classes have to loop over.
+        types = body.get("__annotations__", {})
+        declared: dict[str, tuple[Any, Any]] = {}
+        own: list[str] = []
+        inherited: set[str] = set()
+        kept: list[type] = []
+        for base in bases:
+            if base is not Data:
+                kept.append(base)
+                declared = _declared(base) | declared
+                inherited.update(*[vars(each).get("__slots__", ()) for each in base.__mro__])
+        for each in types:
+            if "ClassVar" not in str(types[each]):
+                declared[each] = types[each], body.pop(each, MISSING)
+                if each not in inherited:
+                    own.append(each)
+        new = {**_methods(frozen, eq, order), **body, _DECLARED: declared}
         if slots:
-            inherited = {name for base in bases for each in base.__mro__ for name in vars(each).get("__slots__", ())}
-            new["__slots__"] = tuple(name for name in declared if name not in inherited)
-        return type(name, bases, new)
+            new["__slots__"] = tuple(own)
+        return type(name, tuple(kept), new)
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(field,))
