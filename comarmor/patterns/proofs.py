@@ -14,10 +14,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import cache, partial
+from importlib import import_module
 from itertools import chain
+from typing import Any
 
 from comarmor.patterns import evaluate
-from comarmor.patterns.counterexample_search import CounterexampleSearch
 from comarmor.patterns.decision_lists import EVERY_WORD, BudgetError, DecisionList, ProofResult, SearchBudget, Universe
 from comarmor.patterns.derivatives import Derivatives
 from comarmor.patterns.evaluate import Evaluator, permits, shortest
@@ -73,12 +74,18 @@ def escapes(
         if len(permitting) == 1 and evaluate.implies(permitting[0], denying, universe):
             return None
         derivatives = cache(lambda: Derivatives(_patterns((*permitting, denying)), universe))
-        return CounterexampleSearch(permitting, denying, universe, derivatives, limits.state_counter()).shortest()
+        found: str | None = _cube_search(permitting, denying, universe, derivatives, limits.state_counter()).shortest()
+        return found
 
     def is_denied(word: str) -> bool:
         return all(permits(each, word) for each in permitting) and not permits(denying, word)
 
     return limits.answer(search, lambda word: (True, not is_denied(word)))
+
+
+def _cube_search(*arguments: Any) -> Any:
+    """Return the first engine; most questions need none."""
+    return import_module("comarmor.patterns.counterexample_search").CounterexampleSearch(*arguments)
 
 
 def _shortest_difference(
@@ -96,7 +103,8 @@ def _shortest_difference(
 
         def search(permitting: Sequence[DecisionList], denying: DecisionList, best: str | None) -> str | None:
             limit = None if best is None else len(best)
-            return CounterexampleSearch(permitting, denying, universe, derivatives, count_state).shortest(limit)
+            found: str | None = _cube_search(permitting, denying, universe, derivatives, count_state).shortest(limit)
+            return found
 
         best: str | None = None
         for each in b:

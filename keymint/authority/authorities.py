@@ -292,7 +292,7 @@ def token_key(inputs: Inputs, files: AuthorityFiles, *, renew: bool) -> keys.Pri
     else:
         if not renew:
             examine.require_unused(files)
-        public, where = inputs.tokens.public_key(spec.key, spec.origin), spec.origin
+        public, where = inputs.tokens().public_key(spec.key, spec.origin), spec.origin
     if not keys.fits(public, spec.key):
         raise KeymintError(
             f"the key of the authority {name!r} is not {keys.key_description(spec.key)}, which {spec.origin} asks for",
@@ -308,7 +308,7 @@ def token_key(inputs: Inputs, files: AuthorityFiles, *, renew: bool) -> keys.Pri
             "new authority",
             code="authority-key-same",
         )
-    return inputs.tokens.private_key(spec.key, public, spec.origin)
+    return inputs.tokens().private_key(spec.key, public, spec.origin)
 
 
 def key_copies(files: AuthorityFiles) -> Iterator[Diagnostic]:

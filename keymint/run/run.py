@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import functools
 import itertools
 import shlex
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -21,7 +22,6 @@ from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin, Severity,
 from keymint.host.streams_and_signals import StoppedError, received_signal
 from keymint.output.console import Console, Streams
 from keymint.output.report import Report, merged_diagnostics
-from keymint.pki.tokens.token_sessions import Tokens
 from keymint.run.execution import RECORD, Workers, execute, open_store, record_answer, remember, require_register
 from keymint.run.run_log import log_change
 from keymint.store.changes import File, Plan, Step
@@ -38,8 +38,10 @@ from keymint.workspace.workspace import Workspace, find, missing_gitignores, sho
 
 if TYPE_CHECKING:
     from keymint.host.pool import Pool
+    from keymint.pki.tokens.token_sessions import Tokens
 
 _pool = lazy("keymint.host.pool:Pool")  # few runs divide work so
+_tokens = lazy("keymint.pki.tokens.token_sessions:Tokens")  # and few have a key in a token
 
 
 class Setting(Data):
@@ -122,7 +124,6 @@ class Run:
         self.plugins = Plugins(environment=Environment(setting.now, setting.cache, setting.environment))
         self.crew = Workers(self.jobs if "jobs" in options else 1, setting.monotonic)
         """Who plans packages for the conductor of the stages."""
-        self.tokens = Tokens(setting.environment, setting.ask)
         self._named: Path | None = options.get("workspace")
         self._spaces: dict[str, Path] = {
             space: folder for space in SPACES if (folder := options.get(f"{space}_space")) is not None
@@ -184,6 +185,17 @@ class Run:
                     )
         return self.known_workspace
 
+    @functools.cached_property
+    def tokens(self) -> Tokens:
+        """The tokens that the run uses."""
+        made: Tokens = _tokens(self.setting.environment, self.setting.ask)
+        return made
+
+    def close(self) -> None:
+        """Log out of all tokens."""
+        if "tokens" in vars(self):
+            self.tokens.close()
+
     def workspace_at(self, folder: Path | None) -> Workspace:
         """Return the workspace at a directory (default: the named or the current one), which may not exist yet."""
         self.known_workspace = Workspace.at(
@@ -195,7 +207,9 @@ class Run:
         """Return the inputs of a plan for a workspace; its files are read as they are asked for."""
         state = load_state(read_file(workspace.state / RECORD, MAX_RECORD))
         tree = Tree(workspace.install, sight)
-        return Inputs(workspace, tree, state, self.plugins, self.setting.environment, self.setting.now, self.tokens)
+        return Inputs(
+            workspace, tree, state, self.plugins, self.setting.environment, self.setting.now, lambda: self.tokens
+        )
 
     def snapshot(self, workspace: Workspace, *, auditing: bool = False) -> Inputs:
         """Read a consistent snapshot of a workspace into memory, for verbs that do not write.
@@ -337,7 +351,7 @@ class Run:
                 raise StoppedError(number)
             return plan
 
-        with contextlib.closing(self.crew), contextlib.closing(self.tokens):
+        with contextlib.closing(self.crew), contextlib.closing(self):
             report = self._carry_out(workspace, planned_from, exit_code)
         self.console.messages(self.lines)
         return replace(report, result=self.outcome) if self.outcome else report

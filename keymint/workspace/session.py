@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from datetime import datetime
 from itertools import chain
 from pathlib import Path
-from typing import Any, Concatenate, ParamSpec, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Self, TypeVar
 
 from comarmor.text import did_you_mean
 from comarmor.values import Data, field, replace
@@ -27,11 +27,13 @@ from keymint.api import (
 from keymint.api.plugin_loader import Plugins
 from keymint.errors import KeymintError, Origin
 from keymint.names import ROOT
-from keymint.pki.tokens.token_sessions import Tokens
 from keymint.store.changes import Plan
 from keymint.view.stamps import State, digest, digest_files, digest_of_texts
 from keymint.view.tree import Tree
 from keymint.workspace.workspace import DEFAULTS, PACKAGE_MARKER, PROFILE_MARKER, Workspace, package_paths, packages
+
+if TYPE_CHECKING:
+    from keymint.pki.tokens.token_sessions import Tokens
 
 _T = TypeVar("_T")
 _P = ParamSpec("_P")
@@ -76,7 +78,7 @@ class Inputs(Data):
         plugins: the installed plugins.
         environment: environment variables; only those that a profile names for passwords are read.
         now: the clock, UTC.
-        tokens: the tokens that have keys of authorities; opened where something must be signed.
+        tokens: returns the tokens that have keys of authorities; opened where something must be signed.
     """
 
     workspace: Workspace
@@ -85,7 +87,7 @@ class Inputs(Data):
     plugins: Plugins
     environment: Mapping[str, str] = field(repr=False)
     now: datetime
-    tokens: Tokens = field(repr=False, compare=False)
+    tokens: Callable[[], Tokens] = field(repr=False, compare=False)
 
     def after(self, plan: Plan) -> Self:
         """Return the inputs as they are once a plan is carried out."""

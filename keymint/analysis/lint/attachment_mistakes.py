@@ -16,11 +16,12 @@ from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.patterns.tokens import STAR, Star
 from comarmor.rules import Effect
 from comarmor.text import first_few
-from keymint.analysis.subject_patterns import fixed_expressions, profile_chain
 from keymint.api import PolicyStructure, WrittenProfile, WrittenRule, lazy
 from keymint.errors import Diagnostic
 
 _undecided_note = lazy("keymint.analysis.lint.findings:undecided_note")
+_fixed_expressions = lazy("keymint.analysis.subject_patterns:fixed_expressions")
+_profile_chain = lazy("keymint.analysis.subject_patterns:profile_chain")
 STEPS = 2_000_000
 """Maximum steps of the search for subjects that a wildcard matches."""
 
@@ -76,7 +77,7 @@ def _wide(profiles: Sequence[WrittenProfile], clauses: Iterable[WrittenRule]) ->
     near = PatternIndex((glob, each) for each, _, glob in attached if literal(glob) is not None)
     checked: set[tuple[_Chain, str]] = set()
     for each, text, glob in wild:
-        chain = profile_chain(each)
+        chain = _profile_chain(each)
         if not rights.get(chain) or (chain, text) in checked:
             continue
         checked.add((chain, text))
@@ -107,14 +108,14 @@ def _gaining(
     wide: WrittenProfile, near: Iterable[tuple[Glob, WrittenProfile]], rights: _Rights
 ) -> Iterator[tuple[str, WrittenProfile, _GrantedRight]]:
     """Yield subjects that gain rights by a wide profile, each once, with their own profile and such a right."""
-    granted = rights[profile_chain(wide)]
+    granted = rights[_profile_chain(wide)]
     own: dict[str, list[WrittenProfile]] = defaultdict(list)
     for glob, profile in near:
         # Only siblings: for nested profiles, the outer ones are checked.
         if profile.around == wide.around and set(_texts(profile)).isdisjoint(_texts(wide)):
             own[literal(glob) or ""].append(profile)
     for subject, its_profiles in own.items():
-        existing = {right for each in its_profiles for right in rights.get(profile_chain(each), {})}
+        existing = {right for each in its_profiles for right in rights.get(_profile_chain(each), {})}
         missing = next((right for right in granted if right not in existing), None)
         if missing is not None:
             yield subject, its_profiles[0], missing
@@ -130,7 +131,7 @@ def _rights(clauses: Iterable[WrittenRule]) -> _Rights:
         rule = clause.rule
         if rule.effect is not Effect.ALLOW or clause.included:
             continue
-        for expression in fixed_expressions(clause):
+        for expression in _fixed_expressions(clause):
             rights[clause.profiles] |= dict.fromkeys((permission, expression) for permission in rule.permissions)
     return rights
 

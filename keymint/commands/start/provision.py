@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from keymint.analysis.subject_patterns import rules_of
 from keymint.api import LoadedPolicy
 from keymint.authority.authority_files import elsewhere
 from keymint.command_line.options import DEFAULT_PROFILE_TYPE, DocumentOptions, Names, document_options, install_request
@@ -111,7 +110,8 @@ def _notes(work: Work, policy: LoadedPolicy, *, prune: bool) -> Iterator[Diagnos
     session, steps = work.session, work.of(CREATE, BUILD).steps
     yield from policy_slips(session, steps, policy)
     made = [subject_of(step.package) for step in steps if step.stage == CREATE and step.writes()][:_MOST]
-    if doubtful := [each for each in made if not any("/rosout" in rule.expressions for rule in rules_of(policy, each))]:
+    written = {each: own.rules if (own := policy.rules(each)) else () for each in made}
+    if doubtful := [each for each in made if not any("/rosout" in rule.expressions for rule in written[each])]:
         from keymint.examine.nodes import node_notes, of_policy  # noqa: PLC0415 - nodes with common/node.xml need none
 
         profile = session.profile

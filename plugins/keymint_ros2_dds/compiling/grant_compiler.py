@@ -16,13 +16,16 @@ from comarmor.values import Data, field, replace
 from keymint.api import BuildOptions, Grant, Hint, lazy
 from keymint.errors import Diagnostic, KeymintError, Severity
 from keymint.ir import Rule
-from keymint_ros2_dds.compiling import partitions
-from keymint_ros2_dds.compiling.partitions import UnportableError
 from keymint_ros2_dds.compiling.rewriting import GUARD, EndpointCounts, gathered_rules, prioritised_rules
 from keymint_ros2_dds.compiling.rule_order import portable_rules, rule_per_policy_rule, standard_rules
 from keymint_ros2_dds.lowering.lowered_rules import GrantRule, Lowered, lower
 from keymint_ros2_dds.lowering.name_mapping import TopicAction, check_distro, has_kind
-from keymint_ros2_dds.lowering.portable_expressions import NotPortableError, portable_expressions
+from keymint_ros2_dds.lowering.portable_expressions import (
+    NotPortableError,
+    UnportableError,
+    portable_expressions,
+    unsafe,
+)
 
 _endpoints = lazy("keymint_ros2_dds.lowering.endpoints:endpoints")
 STEPS = 4_000_000
@@ -63,7 +66,7 @@ def compile_rules(permissions: Grant, distro: str, options: BuildOptions) -> Com
     lowered = lower(permissions.rules, distro)
     report = _PortabilityReport(lowered, permissions.rules.subject, options.allow_vendor_specific)
     for action in TopicAction:
-        for pattern, reason in partitions.unsafe(lowered.allow[action]):
+        for pattern, reason in unsafe(lowered.allow[action]):
             report.add("portability-partition", action, pattern, reason)
     minimal = report.with_expressions(_minimal_rules(lowered, report))
     if report.diagnostics and not options.allow_vendor_specific:

@@ -18,30 +18,11 @@ from comarmor.patterns import glob as globs
 from comarmor.patterns.expression import exact
 from comarmor.patterns.glob import EVERYTHING, Glob, literal, sort_key
 from comarmor.patterns.relations import TooComplexError, covers, disjoint, exactly_covers, intersection, maximal
-from comarmor.patterns.tokens import STAR, Star
 from keymint_ros2_dds.lowering.lowered_rules import DEFAULT, EVERY, Partitions
+from keymint_ros2_dds.lowering.portable_expressions import Step, UnportableError
 
 MAX_PATTERNS = 128
 """Patterns with wildcards that a decision list over several lists of partitions may have."""
-
-Step = tuple[Glob, Partitions]
-"""A step of a decision list: topics that match are allowed in these partitions; denied in all, if there are none."""
-
-
-class UnportableError(Exception):
-    """Rules cannot be expressed portably across DDS vendors.
-
-    Attributes:
-        code: ``portability-partition`` or ``portability-order``.
-        pattern: the topic pattern.
-        reason: one line.
-    """
-
-    def __init__(self, pattern: Glob, reason: str, code: str = "portability-partition") -> None:
-        self.code = code
-        self.pattern = pattern
-        self.reason = reason
-        super().__init__(reason)
 
 
 def uniform(allow: Iterable[Step], deny: Iterable[Step]) -> Partitions | None:
@@ -54,27 +35,6 @@ def uniform(allow: Iterable[Step], deny: Iterable[Step]) -> Partitions | None:
         return None
     shared = lists.pop()
     return None if any(partitions_left(shared, listed) not in {(), shared} for _, listed in deny) else shared
-
-
-def unsafe(allow: Iterable[Step]) -> Iterator[tuple[Glob, str]]:
-    """Yield the patterns whose partitions are not portable across DDS vendors, each with the reason.
-
-    Vendors compare an endpoint's own wildcard as text, so an endpoint in ``p*`` would match ``p?`` and receive more
-    than ``p?`` allows. A single ``*`` is safe: whatever wildcard it matches, the endpoint receives no more than that.
-    """
-    for pattern, partitions in allow:
-        for expression in partitions:
-            glob = globs.parse(expression)
-            text = literal(glob)
-            if text is None and not (glob.count(STAR) == 1 and all(isinstance(each, str | Star) for each in glob)):
-                why = "vendors compare an endpoint's own wildcard with it as text"
-                yield pattern, f"the partition {expression!r} is neither a name nor one with a single '*', and {why}"
-            elif any(_misread(part) for part in glob if isinstance(part, str)):
-                yield pattern, f"the partition {expression!r} has characters that vendors read differently"
-
-
-def _misread(text: str) -> bool:
-    return any(char in "*?[]\\" or not " " <= char <= "~" for char in text) or text != text.strip()
 
 
 @lru_cache(maxsize=4096)

@@ -27,10 +27,15 @@ from comarmor.patterns.glob import Glob, literal, sort_key
 from comarmor.patterns.relations import TooComplexError, all_disjoint, disjoint, intersection, union_covers
 from comarmor.rules import Effect
 from comarmor.values import Data
+from keymint.api import lazy
 from keymint.keymake.order import Arrangement, arrange, early_rules
-from keymint_ros2_dds.compiling.partitions import Step, UnportableError, decision_list, partitions_left, uniform
 from keymint_ros2_dds.lowering.lowered_rules import DEFAULT, EVERY, GrantRule, Lowered, Partitions, with_leading_allow
 from keymint_ros2_dds.lowering.name_mapping import TopicAction
+from keymint_ros2_dds.lowering.portable_expressions import Step, UnportableError
+
+_uniform = lazy("keymint_ros2_dds.compiling.partitions:uniform")  # few policies have partitions
+_decision_list = lazy("keymint_ros2_dds.compiling.partitions:decision_list")
+_partitions_left = lazy("keymint_ros2_dds.compiling.partitions:partitions_left")
 
 
 class RuleGroup(Data):
@@ -70,11 +75,11 @@ def rule_groups(
     in_order = (sorted(steps, key=lambda step: (sort_key(step[0]), step[1])) for steps in (allow, deny))
     for allowed, denied in _components(*in_order):
         try:
-            shared = uniform(allowed, denied)
+            shared = _uniform(allowed, denied)
         except ValueError:  # a name is denied in every partition; the detailed list says where
             shared = None
         if shared is None:
-            rules = merged_rules(_rules(action, decision_list(allowed, denied)), across_effects=True)
+            rules = merged_rules(_rules(action, _decision_list(allowed, denied)), across_effects=True)
             end = next((index for index, rule in enumerate(rules) if rule.effect is Effect.DENY), len(rules))
             detailed.append(RuleGroup(tuple(rules[:end]), tuple(rules[end:]), EVERY, None))
         else:
@@ -87,7 +92,7 @@ def rule_groups(
 def _simple(
     action: TopicAction, allow: Iterable[Step], deny: Iterable[Step], shared: Partitions, *, reduced: bool
 ) -> RuleGroup:
-    denied = (pattern for pattern, partitions in deny if not partitions_left(shared, partitions))
+    denied = (pattern for pattern, partitions in deny if not (partitions and _partitions_left(shared, partitions)))
     order = arrange((pattern for pattern, _ in allow), dict.fromkeys(denied), reduced=reduced)
     free = (GrantRule(Effect.ALLOW, shared, {action: order.free}),) if order.free else ()
     ordered: tuple[GrantRule[Glob], ...] = ()

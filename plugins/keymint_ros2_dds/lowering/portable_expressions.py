@@ -10,13 +10,15 @@ alternative ``]``. Names are assumed to be ASCII, as DDS topic names are.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from itertools import pairwise, product
 from math import prod
 
-from comarmor.patterns.glob import Glob, literal
-from comarmor.patterns.tokens import ANY, Charset, Star
+from comarmor.patterns.glob import Glob, literal, parse
+from comarmor.patterns.tokens import ANY, STAR, Charset, Star
 from comarmor.text import lazy_regex
+from keymint_ros2_dds.lowering.lowered_rules import Partitions
 
 MAX_ALTERNATIVES = 64
 """Expressions that one pattern may become."""
@@ -28,6 +30,47 @@ _TRAPS = "\\]"
 
 class NotPortableError(Exception):
     """No expression is portable across DDS vendors; the message has the reason and the vendors that differ."""
+
+
+Step = tuple[Glob, Partitions]
+"""A step of a decision list: topics that match are allowed in these partitions; denied in all, if there are none."""
+
+
+class UnportableError(Exception):
+    """Rules cannot be expressed portably across DDS vendors.
+
+    Attributes:
+        code: ``portability-partition`` or ``portability-order``.
+        pattern: the topic pattern.
+        reason: one line.
+    """
+
+    def __init__(self, pattern: Glob, reason: str, code: str = "portability-partition") -> None:
+        self.code = code
+        self.pattern = pattern
+        self.reason = reason
+        super().__init__(reason)
+
+
+def unsafe(allow: Iterable[Step]) -> Iterator[tuple[Glob, str]]:
+    """Yield the patterns whose partitions are not portable across DDS vendors, each with the reason.
+
+    Vendors compare an endpoint's own wildcard as text, so an endpoint in ``p*`` would match ``p?`` and receive more
+    than ``p?`` allows. A single ``*`` is safe: whatever wildcard it matches, the endpoint receives no more than that.
+    """
+    for pattern, partitions in allow:
+        for expression in partitions:
+            glob = parse(expression)
+            text = literal(glob)
+            if text is None and not (glob.count(STAR) == 1 and all(isinstance(each, str | Star) for each in glob)):
+                why = "vendors compare an endpoint's own wildcard with it as text"
+                yield pattern, f"the partition {expression!r} is neither a name nor one with a single '*', and {why}"
+            elif any(_misread(part) for part in glob if isinstance(part, str)):
+                yield pattern, f"the partition {expression!r} has characters that vendors read differently"
+
+
+def _misread(text: str) -> bool:
+    return any(char in "*?[]\\" or not " " <= char <= "~" for char in text) or text != text.strip()
 
 
 @lru_cache(maxsize=1 << 14)

@@ -161,7 +161,11 @@ def read(content: bytes, file: str = "permissions.xml", offset: int = 0) -> Perm
 
 _TEXT = "[!-%'-;=?-~]"
 """A printable character that is no blank, and is not written in another way."""
-_DATE = r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d"
+_HEAD = (
+    '<?xml version="1.0" encoding="UTF-8"?>\n<dds xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance"'
+    ' xsi:noNamespaceSchemaLocation="'
+)
+"""What the form begins with."""
 _ID = r"(?:0|[1-9][0-9]{0,2})"
 
 
@@ -180,15 +184,14 @@ def _any_criteria() -> str:
 
 @cache
 def _plain_form() -> re.Pattern[str]:
-    """Return the form in which Keymint writes documents: valid, with nothing that a vendor may read differently."""
+    """Return what follows the head in documents of Keymint: valid, with nothing that a vendor may read differently."""
     id_range = _lines("<id_range>", f"<min>{_ID}</min>", f"<max>{_ID}</max>", "</id_range>")
     return re.compile(
-        r'<\?xml version="1\.0" encoding="UTF-8"\?>\n<dds xmlns:xsi="http://www\.w3\.org/2001/XMLSchema-instance"'
-        rf' xsi:noNamespaceSchemaLocation="(?:(?!"){_TEXT})*+">'
+        rf'(?:(?!"){_TEXT})*+">'
         + _lines(
             "<permissions>", f'<grant name="(?: |(?!"){_TEXT})*+">',
             f"<subject_name>{_TEXT}(?: |{_TEXT})*+</subject_name>", "<validity>",
-            f"<not_before>(?P<begin>{_DATE})</not_before>", f"<not_after>(?P<end>{_DATE})</not_after>", "</validity>",
+            "<not_before>(?P<begin>.{19})</not_before>", "<not_after>(?P<end>.{19})</not_after>", "</validity>",
         )
         + f"(?:{_lines('<(?P<effect>allow|deny)_rule>', '<domains>')}"
         + f"(?:{_lines(f'<id>{_ID}</id>')}|{id_range})++{_lines('</domains>')}"
@@ -220,7 +223,8 @@ def _plain(content: bytes) -> tuple[DocumentGrant, ...] | None:
         or (content.count(b"xmlns"), content.count(b"xsi:")) != (1, 1)
     ):
         return None
-    match = _plain_form().fullmatch(content.decode())
+    text = content.decode()
+    match = _plain_form().fullmatch(text, len(_HEAD)) if text.startswith(_HEAD) else None
     if match is None or dialects.fast_date(match["begin"]) is None or dialects.fast_date(match["end"]) is None:
         return None
     # The form has no DOCTYPE and no entity, and is far below every limit, so that lxml alone may parse it.

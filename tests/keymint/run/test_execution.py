@@ -47,7 +47,7 @@ def run(plan: Plan, workspace: Workspace, *, before: State | None = None) -> lis
             Plugins(()),
             {},
             datetime(2027, 1, 1, tzinfo=UTC),
-            Tokens({}),
+            lambda: Tokens({}),
         ),
         open_store(workspace),
         Workers(1, lambda: 0.0),

@@ -22,4 +22,4 @@ def session_of(root: Path, now: float = NOW) -> Session:
     record = workspace.state / "state.json"
     state = load(record.read_bytes() if record.exists() else None)
     plugins = Plugins(environment=Environment(clock, root.parent))
-    return Inputs(workspace, Tree(), state, plugins, {}, clock, Tokens({})).session()
+    return Inputs(workspace, Tree(), state, plugins, {}, clock, lambda: Tokens({})).session()

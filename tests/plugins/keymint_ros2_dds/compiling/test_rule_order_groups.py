@@ -8,10 +8,10 @@ import itertools
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from keymint_ros2_dds.compiling.partitions import UnportableError
 from keymint_ros2_dds.compiling.rule_order import denied_partitions, merged_rules, rule_groups
 from keymint_ros2_dds.lowering.lowered_rules import DEFAULT, EVERY, GrantRule
 from keymint_ros2_dds.lowering.name_mapping import TopicAction
+from keymint_ros2_dds.lowering.portable_expressions import UnportableError
 
 from comarmor.patterns.glob import matches, parse
 from comarmor.rules import Effect
