@@ -174,7 +174,8 @@ def of_sources(by_package: Mapping[str, Iterable[Term]], session: Session) -> tu
     specs = {authority.name: authority.certificate for authority in session.profile.authorities}
     issuers = {name: spec.issuer for name, spec in specs.items()}
     terms = [(each, each.what, subject_of(name)) for name, lifetimes in by_package.items() for each in lifetimes]
-    for name in dict.fromkeys(name for each, _, _ in terms for name in with_issuers(each.issuer, issuers)):
+    named = dict.fromkeys(each.issuer for each, _, _ in terms)
+    for name in dict.fromkeys(name for issuer in named for name in with_issuers(issuer, issuers)):
         own = _lifetime("authority", specs[name].validity, specs[name].issuer, specs[name].origin)
         terms.append((own, f"certificate of the authority {name!r}", ""))
     warnings: list[Diagnostic] = []

@@ -471,8 +471,9 @@ def _staged(plan: Plan, record: Iterable[FolderChange], store: Store, workers: W
     folders = [str(change.folder) for change in plan.changes() if change.held]
     if not folders and not any(plan.held()):
         return store.stage((*plan.changes(), *record))
-    of_packages = (folder for each in plan.held() for folder in each.folders())
-    store.make_common(itertools.chain(folders, of_packages))
+    names = [each.name for each in plan.held()]
+    around = {place for each in plan.held() for place, *_ in each.places}
+    store.make_common([*folders, *(f"{place}{end(names)}" for place in around for end in (min, max))])
     _trim()  # the register and the record of a large fleet take memory
     removals = Plan(tuple(step for step in plan.steps if step.action is Action.REMOVED), plan.state)
     others = replace(plan, steps=tuple(step for step in plan.steps if step.action is not Action.REMOVED))

@@ -109,10 +109,6 @@ class HeldChanges(HeldPackage):
 
     __slots__ = ()
 
-    def folders(self) -> list[str]:
-        """Return the folder of each change."""
-        return [f"{around}{self.name}" for around, *_ in self.places]
-
     def __iter__(self) -> Iterator[FolderChange]:
         for around, names, private in self.places:
             yield FolderChange(f"{around}{self.name}", {}, (), private, dict.fromkeys(names, ""))
@@ -211,12 +207,10 @@ class Plan(Data):
             stages: of these the record stays.
         """
         first = (FolderChange(each.folder, held=dict.fromkeys(each.files, "")) for each in self.first)
-        steps = list(self.steps)
-        for at, step in enumerate(steps):
-            if isinstance(held := step.changes, HeldChanges):  # only a stage asks for digests
-                steps[at] = replace(step, changes=HeldChanges(held.name, held.places, NO_STAMP))
+        for each in self.held():  # only a stage asks for digests
+            each.stamp = NO_STAMP
         state = State({name: self.state.stamps.get(name, {}) for name in stages})
-        return replace(self, steps=tuple(steps), state=state, first=tuple(first))
+        return replace(self, state=state, first=tuple(first))
 
     def writes(self) -> bool:
         """Tell whether anything is written."""

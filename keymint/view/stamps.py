@@ -147,6 +147,11 @@ def _row(stamp: Stamp) -> StampRow:
 NO_STAMP: StampRow = Stamp("", {}).row
 
 
+def row_of_inputs(inputs: str) -> StampRow:
+    """Return a stamp as it is written that has nothing but a digest over its inputs, or a fingerprint."""
+    return NO_STAMP[0], f"{inputs}\t\t".encode()
+
+
 def stamp_of(recorded: Stamp | StampRow) -> Stamp:
     """Return a stamp that may be as it is written."""
     if isinstance(recorded, Stamp):

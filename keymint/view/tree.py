@@ -96,14 +96,17 @@ class HeldPackage:
     def __init__(self, name: str, places: tuple[Place, ...], stamp: StampRow) -> None:
         self.name, self.places, self.stamp = name, places, stamp
 
-    def files(self, around: str) -> Mapping[str, str]:
-        """Return the digests of the files in the folder below another one; empty if the stamp does not have one."""
-        outputs = stamp_of(self.stamp).outputs
-        return {name: outputs.get(name, "") for place, names, _ in self.places if place == around for name in names}
+    def files(self, around: str) -> Mapping[str, HeldPackage]:
+        """Return the files in the folder below another one, each with the package, which knows its digest."""
+        return {name: self for place, names, _ in self.places if place == around for name in names}
+
+    def digest(self, name: str) -> str:
+        """Return the digest of a file; empty if the stamp does not have it."""
+        return stamp_of(self.stamp).outputs.get(name, "")
 
 
-Content = bytes | File | str | None
-"""Planned content of a file; if another process holds it, its digest; None for a file that will be removed."""
+Content = bytes | File | HeldPackage | str | None
+"""Planned content of a file; if another process holds it, its package or digest; None for one that will be removed."""
 
 
 class Tree:
@@ -244,7 +247,7 @@ class Tree:
         """Return a file's bytes, or None if there is none; errors as :func:`read_file`."""
         path = str(path)
         planned, content = self._planned(path)
-        if isinstance(content, str):
+        if isinstance(content, HeldPackage | str):
             raise HeldError(path)
         if isinstance(content, File):
             return content.content
@@ -261,6 +264,8 @@ class Tree:
         if is_planned:
             if isinstance(planned, bytes):
                 return digest(planned)
+            if isinstance(planned, HeldPackage):
+                planned = planned.digest(path.rpartition("/")[2])
             if planned == "":
                 raise HeldError(path)
             return planned.digest if isinstance(planned, File) else planned

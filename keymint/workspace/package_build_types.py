@@ -157,7 +157,8 @@ def may_share(session: Session, names: Iterable[str]) -> bool:
     if session.infrastructure():
         return True
     marker = session.package_type.MARKER
-    manifests = {session.tree.try_read(session.workspace.src / name / marker) or b"" for name in names}
+    there = frozenset(session.packages()).intersection(names)
+    manifests = {session.tree.try_read(session.workspace.src / name / marker) or b"" for name in there}
     named = {*session.profile.build_types}
     for each in session.plugins.names("keymint.build_types"):
         named |= {each} if any(each.encode() in manifest for manifest in manifests) else set()

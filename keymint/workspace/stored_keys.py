@@ -11,7 +11,7 @@ from typing import TypeVar
 from keymint.api import CertificateSpec
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.pki import certificates, keys
-from keymint.view.stamps import Stamp, State
+from keymint.view.stamps import Stamps, State, row_of_inputs
 from keymint.workspace.installed_enclaves import INSTALLED, installed_certificate
 from keymint.workspace.session import Inputs, Session
 
@@ -108,8 +108,10 @@ def recorded_key(state: State, stage: str, name: str) -> str:
 
 def with_recorded_keys(state: State, stage: str, fingerprints: Mapping[str, str]) -> State:
     """Return the state with these keys on record; unchanged if they already are."""
-    new = {name: value for name, value in fingerprints.items() if recorded_key(state, stage, name) != value}
-    return state.updated(stage, {name: Stamp(value, {}) for name, value in new.items()}) if new else state
+    recorded = Stamps.of(state.stamps.get(stage, {})).rows
+    rows = {name: row_of_inputs(value) for name, value in fingerprints.items()}
+    new = {name: row for name, row in rows.items() if recorded.get(name) != row}
+    return state.updated(stage, new) if new else state
 
 
 def without_recorded_keys(state: State, stage: str, names: tuple[str, ...]) -> State:
