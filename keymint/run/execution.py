@@ -34,7 +34,7 @@ from keymint.life.examine import IGNORED, ORPHANED, RIGHTS_OUTLIVE
 from keymint.life.revocation_lists_in_force import loaded_lists
 from keymint.output.console import Console
 from keymint.output.report import Report
-from keymint.stages.work import Crew, NewPackages, PackagePlan, PackageStage, planned_by, session_after
+from keymint.stages.work import Crew, NewPackages, PackagePlan, PackageStage, planned_apart
 from keymint.store.changes import Action, File, FolderChange, HeldChanges, Plan, Step
 from keymint.store.file_writing import c_function
 from keymint.store.journal import Journal
@@ -331,18 +331,9 @@ def _planned_in_parts(send: Callable[[bytes], object], task: _Task) -> _Changes:
 
 def _plan(task: _Task) -> Iterator[tuple[list[Any], list[FolderChange]]]:
     """Plan packages, and yield the plans of each stage, and their changes."""
-    session, names, stages, new = task
-    for start in stages:
-        stage = start(session)
-        planned = planned_by(stage, names, new)
-        plans = [each for each in planned if isinstance(each, PackagePlan)]
-        changes = [change for each in plans if each.step for change in each.step.changes]
-        yield planned, changes
-        if any(each.errors for each in plans):
-            return
-        session = session_after(session, stage.NAME, plans)
-        installed = [each for each in plans if not each.withdrawn]
-        names = [each.name for each in installed if each.step is None or each.step.action is not Action.KEPT]
+    for planned in planned_apart(*task):
+        steps = [each.step for each in planned if isinstance(each, PackagePlan) and each.step]
+        yield planned, [change for step in steps for change in step.changes]
 
 
 def _row(plan: PackagePlan) -> tuple[Any, ...]:

@@ -167,7 +167,7 @@ def _new_packages(session: Session, names: Sequence[str], stages: _Stages, reque
         return None
     if not set(names).difference(session.packages()):
         return None
-    return NewPackages.of(session, request.policy, CREATE)
+    return NewPackages.of(session, request.policy, tuple(stages))
 
 
 def _settled(work: Work, names: Sequence[str], create: CreateStage) -> frozenset[str]:

@@ -7,7 +7,7 @@ So other processes may do the first part.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import reduce
 from typing import Any, Self
 
@@ -192,13 +192,13 @@ class NewPackages:
     Args:
         session: the workspace before the stages.
         policy: the policy to create and to prove.
-        first: name of the stage that creates packages.
+        stages: the names of the stages: create, build, and those that fill in enclaves from forms.
     """
 
-    def __init__(self, session: Session, policy: LoadedPolicy, first: str) -> None:
+    def __init__(self, session: Session, policy: LoadedPolicy, stages: Sequence[str]) -> None:
         self._session = session
         self._policy = policy
-        self._first = first
+        self._first, _, *self._filling = stages
         self._existing = frozenset(session.packages())
         workspace = session.workspace
         layouts = (layout for each in session.build_types.values() for layout in each.LAYOUTS.values())
@@ -209,27 +209,34 @@ class NewPackages:
         self._forms = Forms()
 
     @classmethod
-    def of(cls, session: Session, policy: LoadedPolicy, first: str) -> NewPackages | None:
+    def of(cls, session: Session, policy: LoadedPolicy, stages: Sequence[str]) -> NewPackages | None:
         """Return the same; None if packages depend on others, or an authority is in doubt or revoked something."""
         try:
             if session.needed_infrastructure() or may_share(session, ()) or contradictions(session) or lists(session):
                 return None
-            return cls(session, policy, first)
+            return cls(session, policy, stages)
         except KeymintError:  # raised again by the stage whose turn it is
             return None
 
     def planned(self, stage: PackageStage, name: str) -> Any:
-        """Return what a stage plans for a package; the stages are asked in their order."""
+        """Return what a stage plans for a package, or None if it must look at it as at any; stages come in order."""
         try:
             new = self._starting(name) if self._first == stage.NAME else self._on_the_way.pop(name, None)
             found = stage.new(new) if new else None
         except KeymintError:  # raised again below
             found = None
         if new is None or found is None or found.diagnostics or not found.stamp:
-            return stage.package(name)
+            return None
         if isinstance(found, PackagePlan):  # not the proof, after which nothing more is needed
             self._on_the_way[name] = new
         return found
+
+    def is_filled_in(self, name: str) -> bool:
+        """Tell whether the next stage, or after the build all that are left, need nothing that is planned for it."""
+        new = self._on_the_way.get(name)
+        if new is None or self._forms.package is None:
+            return False
+        return not hasattr(new, "kind") or all(self._forms.of(stage, new.kind) for stage in self._filling)
 
     def _starting(self, name: str) -> NewPackage | None:
         """Return a package if nothing of it is there, and it has no record and no entry in the register."""
@@ -245,7 +252,48 @@ class NewPackages:
 
 def planned_by(stage: PackageStage, names: Iterable[str], new: NewPackages | None) -> list[Any]:
     """Return what a stage plans for each package, those that are new included."""
-    return [new.planned(stage, name) if new else stage.package(name) for name in names]
+    return [(new.planned(stage, name) if new else None) or stage.package(name) for name in names]
+
+
+def planned_apart(
+    session: Session,
+    names: Sequence[str],
+    stages: Iterable[Callable[[Session], PackageStage]],
+    new: NewPackages | None,
+) -> Iterator[list[Any]]:
+    """Yield what each stage plans for some packages as far as it looks at one package at a time.
+
+    What is planned for a package becomes part of the workspace only when a stage needs to look at it there.
+
+    Args:
+        session: the workspace before the first stage.
+        names: the packages.
+        stages: what makes each stage.
+        new: the packages that are new, if some may be.
+    """
+    waiting: list[tuple[str, dict[str, PackagePlan]]] = []
+
+    def after(session: Session, needed: Callable[[str], bool]) -> Session:
+        for stage, plans in waiting:
+            if found := [plans.pop(name) for name in [*filter(needed, plans)]]:
+                session = session_after(session, stage, found)
+        return session
+
+    for start in stages:
+        session = after(session, lambda name: not (new and new.is_filled_in(name)))
+        stage = start(session)
+        found = {name: new and new.planned(stage, name) for name in names}
+        left = {name for name, each in found.items() if not each}
+        if (with_them := after(session, left.__contains__)) is not session:
+            session, stage = with_them, start(with_them)
+        planned = [found[name] or stage.package(name) for name in names]
+        yield planned
+        plans = [each for each in planned if isinstance(each, PackagePlan)]
+        if any(each.errors for each in plans):
+            return
+        waiting.append((stage.NAME, {each.name: each for each in plans}))
+        installed = [each for each in plans if not each.withdrawn]
+        names = [each.name for each in installed if each.step is None or each.step.action is not Action.KEPT]
 
 
 class Crew:

@@ -125,16 +125,13 @@ StampRow = tuple[_Form, bytes]
 def _row(stamp: Stamp) -> StampRow:
     files = tuple(sorted(stamp.outputs))
     texts = [stamp.inputs, stamp.context, stamp.lifetimes, *map(stamp.outputs.__getitem__, files)]
-    common, own = list[tuple[str, ...]](), list[str]()
-    for text in texts:
-        if len(text) <= _DIGEST:
-            common.append(())
-            own.append(text)
-        else:
+    common: list[tuple[str, ...]] = [()] * len(texts)
+    own = texts
+    for at in range(len(texts) - 1, -1, -1):
+        if len(text := texts[at]) > _DIGEST:
             pieces = text.split("'")
             pieces = pieces if len(pieces) % 2 else [text]
-            common.append(tuple(pieces[::2]))
-            own += pieces[1::2]
+            common[at], own = tuple(pieces[::2]), [*own[:at], *pieces[1::2], *own[at + 1 :]]
     line = "\t".join(own)
     if (
         ":" in line or "\n" in line or line.count("\t") >= len(own) or not line.isascii()

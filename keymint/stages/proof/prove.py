@@ -174,7 +174,7 @@ class ProofStage(PackageStage):
         workspace = self._session.workspace
         return workspace.shown(workspace.build / name if self._unsigned else self._session.enclave_folder(name))
 
-    def new(self, new: NewPackage) -> EnclaveProof:
+    def new(self, new: NewPackage) -> EnclaveProof | None:
         """See :meth:`keymint.stages.work.PackageStage.new`; the files are those of the enclave that is planned."""
         session, build_types = self._session, new.package.build_types
         digests = {file: each.digest for file, each in new.files.items()}
@@ -188,8 +188,10 @@ class ProofStage(PackageStage):
                 outputs = self._outputs_like(first, new, (values, own))
                 stamp = Stamp(inputs, outputs, context=self._policy_digest, build_types=build_types)
                 return EnclaveProof(new.name, new.package.subject, first.claims, build_types=build_types, stamp=stamp)
+        if new.form:
+            return None
         proof = self.package(new.name)
-        if new.form is None and proof.stamp:
+        if proof.stamp:
             new.forms.learn(STAGE, new, (proof, own, new), self._form)
         return proof
 

@@ -204,6 +204,34 @@ def test_a_process_that_is_ended(keymint: Keymint, tmp_path: Path, stage: str, n
     assert keymint("check", "-w", "ws").code == 0
 
 
+LEFT_TO_ALL = """
+import sys
+from keymint.run import execution
+from keymint.cli import main
+from keymint.stages.{module} import {stage}
+execution.MIN_PACKAGES, execution.MOST_PACKAGES = 10, 4
+new = {stage}.new
+{stage}.new = lambda self, package: None if package.name in {names} else new(self, package)
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.parametrize(
+    ("module", "stage"), [("build", "BuildStage"), ("install", "InstallStage"), ("proof.prove", "ProofStage")]
+)
+def test_a_stage_may_look_at_a_new_package_as_at_any_other(
+    keymint: Keymint, tmp_path: Path, module: str, stage: str
+) -> None:
+    source = policy(tmp_path / "policy.xml")
+    program = LEFT_TO_ALL.format(module=module, stage=stage, names=("robot2/talker", "robot7/talker", "robot18/talker"))
+    done = run(tmp_path, "provision", source, "-w", "two", "-j", 2, program=program)
+    assert done.code == 0, done.err
+    assert keymint("check", "-w", "two").code == 0
+    assert keymint("provision", source, "-w", "one", "-j", 1).code == 0
+    assert unsigned(tmp_path / "two") == unsigned(tmp_path / "one")
+    assert modes(tmp_path / "two") == modes(tmp_path / "one")
+
+
 FORGETTING = """
 import gc, os, sys
 from pathlib import Path
