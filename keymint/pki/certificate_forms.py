@@ -8,14 +8,13 @@ from collections.abc import Mapping
 from datetime import UTC
 from functools import lru_cache
 from types import MappingProxyType
-from typing import NamedTuple
 
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes
 from cryptography.x509.oid import ExtendedKeyUsageOID, ExtensionOID
 
 from comarmor.text import quote
-from comarmor.values import Data
+from comarmor.values import Data, replace
 from keymint.api import CertificateSpec, Validity
 from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.pki import der, distinguished_names, extensions, keys
@@ -96,7 +95,7 @@ def form(
     )
 
 
-class CommonParts(NamedTuple):
+class CommonParts(Data):
     """What the DER of a certificate shares with one for another name and key.
 
     Attributes:
@@ -131,7 +130,7 @@ class CommonParts(NamedTuple):
 
     def is_same(self, other: CommonParts | None) -> bool:
         """Tell whether these are the parts of another certificate, too."""
-        return other is not None and self[:-1] == other[:-1]
+        return other is not None and replace(self, digest=other.digest) == other
 
     def fill(self, subject: bytes, public: bytes, signer: keys.PrivateKey) -> tuple[bytes, int]:
         """Return a certificate in DER, as the library would write it, at a third of the cost; and its serial number.

@@ -12,12 +12,12 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from functools import lru_cache
-from typing import NamedTuple
 
 from cryptography import x509
 from cryptography.x509.oid import NameOID
 
 from comarmor.text import did_you_mean, lazy_regex, quote
+from comarmor.values import Data
 from keymint.errors import KeymintError, Origin
 from keymint.pki import der
 
@@ -113,7 +113,7 @@ def _parsed(text: str) -> x509.Name:
     return x509.Name([_attribute(kind, value, text) for kind, value in _pairs(text)])
 
 
-class WrittenName(NamedTuple):
+class WrittenName(Data):
     """A name in the forms in which it is written.
 
     Attributes:

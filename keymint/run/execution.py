@@ -509,7 +509,8 @@ def remember(
     if not settled and not is_certain:
         return
     answer = Answer(*console.rendered(expected), int(expected.exit_code), settled, is_certain)
-    _trim()  # the folders of a large fleet take memory
+    if len(plan.steps) > MIN_PACKAGES:
+        _trim()  # the folders of a large fleet take memory
     if sight := look():  # as late as possible: the clock of the file system must have moved on
         record_answer(call, session, sight, (), answer, store)
 

@@ -79,9 +79,9 @@ class EnclaveForm(Data):
         """
         identity, entry, files = new.package.identity, self.issued, dict[str, File]()
         (key,) = new.key.files.values()
-        subject, holder, _ = distinguished_names.written_name(identity.subject_name)
+        written = distinguished_names.written_name(identity.subject_name)
         signing_key = authorities[identity.issuer].issuer.key
-        certificate, serial = self.parts.fill(subject, keys.public_der_of_file(key.content), signing_key)
+        certificate, serial = self.parts.fill(written.encoded, keys.public_der_of_file(key.content), signing_key)
         documents = {name: each.content for name, each in new.documents.items()}
         contents = {Part.KEY: key.content, Part.CERTIFICATE: certificates.pem_of(certificate)}
         for name, file in self.files.items():
@@ -96,7 +96,7 @@ class EnclaveForm(Data):
             else:
                 files[name] = File(contents[file.part], secret=file.part is Part.KEY, replaces_link=True)
         rights = (
-            SignedRights.of(new.name, entry.generation, holder, end, documents[name]) for name, end in self.rights
+            SignedRights.of(new.name, entry.generation, written.text, end, documents[name]) for name, end in self.rights
         )
         made = IssuedCertificate(
             entry.issuer, serial, entry.authority, new.name, entry.generation, entry.not_before, entry.not_after,

@@ -192,4 +192,4 @@ def test_a_name_is_written_as_the_library_writes_it(text: str) -> None:
     else:
         values = [value for _, value in distinguished_names.attributes(name) if re.fullmatch("[A-Za-z0-9/_.-]+", value)]
         expected = name.public_bytes(), distinguished_names.to_text(name), tuple(values)
-        assert distinguished_names.written_name(text) == expected
+        assert distinguished_names.written_name(text) == distinguished_names.WrittenName(*expected)
