@@ -12,10 +12,10 @@ import dataclasses
 import operator
 import sys
 from collections.abc import Callable
-from dataclasses import MISSING, Field, field, replace
+from dataclasses import MISSING, Field, field
 from functools import cache, partial
 from types import MemberDescriptorType
-from typing import Any, NoReturn, dataclass_transform
+from typing import TYPE_CHECKING, Any, NoReturn, dataclass_transform
 
 __all__ = ["Data", "field", "replace"]
 _FEW = 50
@@ -70,6 +70,23 @@ class Data(metaclass=_DataType):
     ``order``. As with :class:`typing.NamedTuple`, a subclass is not an instance of a special type, nor its subclasses:
     each names this base itself.
     """
+
+
+if TYPE_CHECKING:
+    from dataclasses import replace
+else:
+
+    def replace(given: Any, /, **changes: Any) -> Any:
+        """Return an object with other values of some fields, as :func:`dataclasses.replace`, which asks more first."""
+        cls = type(given)
+        if _DECLARED not in vars(cls):
+            return dataclasses.replace(given, **changes)
+        return cls(**{name: getattr(given, name) for name in _parameters(cls) if name not in changes}, **changes)
+
+
+@cache
+def _parameters(cls: type) -> list[str]:
+    return _given(cls)[0]
 
 
 @cache

@@ -9,10 +9,10 @@ from __future__ import annotations
 import os
 import stat
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
+from comarmor.values import replace
 from comarmor.xml.sandboxed_paths import read_bounded
 from keymint.api import FoundKeystore, KeystoreFile, KeystoreFiles, KeystoreReader
 from keymint.api.plugin_loader import Plugins

@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import posixpath
 from collections.abc import Callable, Container, Mapping, Sequence
-from dataclasses import replace
 from functools import lru_cache
 from typing import Generic, TypeVar
 
 from lxml import etree
 
 from comarmor.text import did_you_mean, quote
+from comarmor.values import replace
 from comarmor.xml import reader, schema
 from comarmor.xml.reader import line
 from keymint.api import DomainRange

@@ -14,10 +14,9 @@ Each exchange of keys is one group of changes. A run that was killed within it i
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from cryptography import x509
 
+from comarmor.values import replace
 from keymint.api import Authority, AuthorityIssuance, Phase, Rollover
 from keymint.authority import authorities, authority_files, examine
 from keymint.authority.authorities import STAGE, authority_named, plan_authorities, plan_authority_issuance

@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from comarmor.text import first_few, quantity
+from comarmor.values import replace
 from keymint.analysis.permission_changes import PermissionChange, rule_changes
 from keymint.analysis.policy_diff import SubjectChanges
 from keymint.analysis.symbolic_search import QueryBudget

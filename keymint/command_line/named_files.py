@@ -8,10 +8,10 @@ import os
 import re
 import stat
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from comarmor.values import replace
 from keymint import SPACES, __version__
 from keymint.api import LoadedPolicy
 from keymint.errors import ExitCode, KeymintError, Origin

@@ -6,8 +6,7 @@ PNG is converted from SVG with resvg, an optional dependency: a wheel without sy
 
 from __future__ import annotations
 
-from dataclasses import replace
-
+from comarmor.values import replace
 from keymint.api.plugin_loader import how_to_add
 from keymint.drawing.appearance import FONTS, LIGHT, directions, edge_classes, sentence
 from keymint.drawing.captions import marks_of, names_of, subtitle

@@ -13,12 +13,12 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
 
 from cryptography import x509
 
+from comarmor.values import replace
 from keymint.api import ValidityTerm
 from keymint.authority import authority_files, examine
 from keymint.authority.authorities import key_copies

@@ -12,11 +12,11 @@ import os
 import pwd
 import stat
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from datetime import timedelta
 from functools import lru_cache
 from pathlib import Path
 
+from comarmor.values import replace
 from keymint.api import Artifact, BuildOptions, Inspection, Package
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.life.workspace_register import withdrawn

@@ -9,11 +9,11 @@ of its sources. Each enclave has the list in force, which has all revocations an
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 
 from cryptography import x509
 
 from comarmor.text import first_few, hexadecimal, quantity
+from comarmor.values import replace
 from keymint.api import LoadedPolicy, Phase
 from keymint.authority.authority_files import issuers
 from keymint.authority.rollover import staged_session

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import replace
 
 from comarmor.text import first_few
+from comarmor.values import replace
 from keymint.api import FoundEnclave, KeystoreFiles, KeystoreReader, LoadedPolicy
 from keymint.api.plugin_loader import Plugins
 from keymint.errors import Diagnostic, KeymintError, Origin

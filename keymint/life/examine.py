@@ -10,10 +10,10 @@ from __future__ import annotations
 import functools
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from datetime import datetime
 from itertools import chain
 
+from comarmor.values import replace
 from keymint.api import BuildType, Counterexample, DocumentComparison, Package
 from keymint.authority.authority_files import authority_keys
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity

@@ -9,12 +9,12 @@ name chaining, signature, basicConstraints, path length, keyUsage, validity and 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from functools import cached_property, lru_cache
 
 from cryptography import x509
 
+from comarmor.values import replace
 from keymint.api import TrustAnchor, TrustAnchors, ValidityTerm
 from keymint.errors import Defects, Diagnostic, KeymintError, Origin
 from keymint.names import name_of

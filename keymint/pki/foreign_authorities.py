@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 from cryptography import x509
 from cryptography.x509.oid import ExtensionOID
 
+from comarmor.values import replace
 from keymint.api import CertificateSpec, Validity
 from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.pki import certificate_forms, certificates, extensions, keys

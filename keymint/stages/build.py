@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import lru_cache, partial
 
 from comarmor.text import quantity
+from comarmor.values import replace
 from keymint.api import BuildOptions, BuildResult, LoadedPolicy, Package
 from keymint.errors import Defects, Diagnostic, KeymintError, Origin
 from keymint.life import terms

@@ -14,11 +14,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
 
 from comarmor.patterns.glob import parse
 from comarmor.patterns.tokens import STAR
 from comarmor.rules import PARTS, Effect
+from comarmor.values import replace
 from keymint import api
 from keymint.analysis.permission_changes import PermissionChange, rule_changes
 from keymint.analysis.policy_diff import SubjectChanges

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections import UserDict
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 from cryptography import x509
 
+from comarmor.values import replace
 from keymint.api import Artifact, Credentials, Package, SigningAuthority
 from keymint.authority.authorities import Authorities, MintedAuthority
 from keymint.authority.authority_files import trusted_chains

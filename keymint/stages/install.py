@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import stat
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
 from itertools import chain
 from typing import Any
 
 from cryptography import x509
 
+from comarmor.values import replace
 from keymint.api import Package, lazy
 from keymint.authority.authorities import Authorities
 from keymint.authority.authority_files import chains_digest

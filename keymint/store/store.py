@@ -20,10 +20,10 @@ import errno
 import fcntl
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from time import sleep  # waits, and does not tell the time
 
+from comarmor.values import replace
 from keymint.store import journal
 from keymint.store.changes import File, FolderChange
 from keymint.store.file_writing import FILE, reported

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 
 from comarmor.text import did_you_mean, first_few, quantity, quote
+from comarmor.values import replace
 from comarmor.xml.package_folders import InstalledPackages, ShippedFile
 from keymint.api import AcceptedPackage, LoadedPolicy
 from keymint.errors import Diagnostic, ExitCode, KeymintError

@@ -6,12 +6,12 @@ from __future__ import annotations
 import os
 import posixpath
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
 
 from lxml import etree
 
+from comarmor.values import replace
 from comarmor.xml.reader import line
 from keymint.api import Authority, PolicySource, WorkspaceProfile
 from keymint.api.source_documents import Reader, domains, file_in, place, require_new, text

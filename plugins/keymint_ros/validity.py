@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from datetime import UTC, datetime
 
 from lxml import etree
 
 from comarmor.text import quote
+from comarmor.values import replace
 from keymint.api import Validity
 from keymint.api.source_documents import place, text
 from keymint.errors import KeymintError, Origin

@@ -10,12 +10,12 @@ what no keystore can hold, are its deviations.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 from comarmor.errors import ComArmorError, Diagnostic
 from comarmor.rules import Effect, is_subject
 from comarmor.text import quote
+from comarmor.values import replace
 from keymint.api.xml_templates import xml_document
 from keymint_ros2_sros2 import syntax
 

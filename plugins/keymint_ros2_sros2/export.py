@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from types import MappingProxyType
@@ -19,6 +18,7 @@ from comarmor.patterns.glob import Glob
 from comarmor.patterns.glob import matches as matching
 from comarmor.rules import PARTS, Effect, Rule, is_subject
 from comarmor.text import lazy_regex, quote
+from comarmor.values import replace
 from keymint.api import ExportedPolicy, ImportedSubject
 from keymint.api.xml_templates import xml_document
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity, UnsayableError

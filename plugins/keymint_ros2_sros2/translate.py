@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
@@ -28,6 +27,7 @@ from comarmor.language.source import read_document
 from comarmor.language.syntax import Attachment, Profile, ProfileRule
 from comarmor.patterns.expression import escape
 from comarmor.rules import PERMISSIONS, Effect, Rule
+from comarmor.values import replace
 from comarmor.xml.reader import XINCLUDE
 from keymint.api import ImportedPolicy, ImportedSubject, ImportRequest, PolicySource
 from keymint.errors import KeymintError

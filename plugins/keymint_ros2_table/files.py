@@ -14,12 +14,12 @@ import resource
 import sqlite3  # noqa: TID251 - in memory only: reads bytes
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from comarmor.errors import ComArmorError, Origin
 from comarmor.language.attachments import strip
 from comarmor.text import did_you_mean, quote
+from comarmor.values import replace
 from comarmor.xml.sandboxed_paths import file_errors, path_text, read_bounded
 from keymint_ros2_table import rows
 

@@ -10,9 +10,9 @@ messages from the router alone.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from typing import Any
 
+from comarmor.values import replace
 from keymint.api import BuildOptions, BuildResult, Package
 from keymint.errors import Defects, Diagnostic, Severity
 from keymint_ros2_zenoh.documents.configuration import (

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from comarmor.values import Data
+from comarmor.values import Data, replace
 
 
 class Standard(type):
@@ -125,7 +125,8 @@ def test_they_behave_as_those_of_the_standard_library(name: str, one: int, other
                 outcome(lambda a=a: setattr(a, "one", 5)), outcome(lambda a=a: delattr(a, "one")),
                 outcome(lambda made=made: made()),
                 outcome(lambda made=made: made(-1)) if name == "Own" else 0,
-                name == "Calling" or repr(dataclasses.replace(b, one=1)),
+                name == "Calling" or [repr(change(b, one=1)) for change in (dataclasses.replace, replace)],
+                outcome(lambda b=b: replace(b, eleven=1)),
                 dataclasses.asdict(b),
                 [(each.name, each.type, each.init, each.compare) for each in dataclasses.fields(made)],
                 outcome(lambda made=made: made(1, one=1)), outcome(lambda made=made: made(1, eleven=1)),

@@ -9,7 +9,6 @@ compiled portably (:func:`portability`).
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
 
 from comarmor.patterns.glob import parse
 from comarmor.patterns.possible_names import advice
@@ -17,6 +16,7 @@ from comarmor.patterns.relations import TooComplexError
 from comarmor.patterns.steps import step_limit
 from comarmor.rules import is_fully_qualified
 from comarmor.text import did_you_mean
+from comarmor.values import replace
 from keymint.analysis.lint.attachment_mistakes import attachment_mistakes
 from keymint.analysis.lint.findings import ExpressionOrigins, quoted_list, undecided_note
 from keymint.analysis.lint.name_similarity import similar_names, similar_subjects

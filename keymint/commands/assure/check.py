@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from datetime import timedelta
 from functools import partial
 from pathlib import Path
 
 from comarmor.text import did_you_mean, quantity
+from comarmor.values import replace
 from keymint.command_line.named_files import write_outputs
 from keymint.command_line.options import Names, names_group, period, standard_option, strict_option
 from keymint.command_line.verb import FILE, Report, Run, findings_if, flag, option, path_option, verb

@@ -10,7 +10,6 @@ import inspect
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
-from dataclasses import replace
 from datetime import timedelta
 from functools import partial
 from pathlib import Path
@@ -21,6 +20,7 @@ import click
 from comarmor.patterns.glob import Glob, parse
 from comarmor.patterns.relations import disjoint
 from comarmor.text import encodable_value, natural_order, quote
+from comarmor.values import replace
 from keymint import __version__
 from keymint.analysis.policy_diff import diff_policies
 from keymint.analysis.symbolic_search import STATES, QueryBudget

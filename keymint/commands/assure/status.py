@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from datetime import datetime, timedelta
 from typing import Any
 
 import click
 
 from comarmor.text import natural_order
+from comarmor.values import replace
 from keymint.api import LoadedPolicy
 from keymint.authority.authority_files import elsewhere
 from keymint.command_line.options import Names, names_group, strict_option

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 
 from comarmor.text import lazy_regex, quantity
+from comarmor.values import replace
 from keymint.api import Tier, Transport
 from keymint.api.graph import MISMATCHES, Edge, EdgeOutcome, Graph
 from keymint.api.graph_json import load

@@ -9,7 +9,6 @@ import threading
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from functools import reduce
 from itertools import pairwise
 from pathlib import Path
@@ -18,6 +17,7 @@ from typing import Any
 
 import click
 
+from comarmor.values import replace
 from keymint.api import DiscoveredGraph, GraphSource, graph_json
 from keymint.api.graph import NAMES_DIFFER, Graph, differing_names
 from keymint.command_line.named_files import deliver, read_input, user_path

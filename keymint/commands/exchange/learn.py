@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from functools import reduce
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from comarmor.text import quantity
+from comarmor.values import replace
 from comarmor.xml.reader import looks_like_xml
 from keymint.api import GrantedRules, LearnedPolicy, LoadedPolicy, graph_json
 from keymint.api.graph import NAMES_DIFFER, Graph, differing_names

@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
+from comarmor.values import replace
 from keymint.authority import authority_changes as changes
 from keymint.authority.authorities import plan_authorities
 from keymint.command_line.named_files import read_input

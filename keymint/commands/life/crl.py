@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from datetime import timedelta
 from typing import Any
 
 import click
 
 from comarmor.text import hexadecimal
+from comarmor.values import replace
 from keymint.authority.authority_files import issuers
 from keymint.command_line.options import validity
 from keymint.command_line.verb import Report, Run, flag, option, verb

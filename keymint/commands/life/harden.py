@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 
 import click
 
 from comarmor.text import first_few
+from comarmor.values import replace
 from keymint.api import Validity
 from keymint.authority.authorities import authority_named
 from keymint.authority.authority_changes import plan_renewal

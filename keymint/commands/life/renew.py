@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from datetime import datetime
 from typing import Any
 
 from comarmor.text import quantity
+from comarmor.values import replace
 from keymint.command_line.agreement import confirmed_plan
 from keymint.command_line.options import Names, names_group, prove_option, threshold
 from keymint.command_line.verb import Report, Run, findings_if, flag, option, verb

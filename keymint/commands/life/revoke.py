@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import click
 
 from comarmor.text import quantity
+from comarmor.values import replace
 from keymint.command_line.options import Names, names_group, prove_option
 from keymint.command_line.verb import Report, Run, option, verb
 from keymint.commands.life.issued import certificate_json

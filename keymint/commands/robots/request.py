@@ -6,11 +6,11 @@ from __future__ import annotations
 import contextlib
 import secrets
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import click
 
+from comarmor.values import replace
 from keymint.api import KeySpec
 from keymint.command_line.named_files import deliver
 from keymint.command_line.robot_options import folder_option, keystore_of, opened_store

@@ -8,10 +8,10 @@ key is taken if its fingerprint was read at the robot, or if the key that the pa
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from comarmor.text import did_you_mean
+from comarmor.values import replace
 from keymint.authority.authorities import plan_authorities
 from keymint.command_line.named_files import read_input
 from keymint.command_line.options import bundle_output_option, prove_option

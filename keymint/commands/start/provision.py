@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
+from comarmor.values import replace
 from keymint.api import LoadedPolicy
 from keymint.authority.authority_files import elsewhere
 from keymint.command_line.options import DEFAULT_PROFILE_TYPE, DocumentOptions, Names, document_options, install_request

@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 
 from comarmor.text import quantity
+from comarmor.values import replace
 from keymint.api import graph_json
 from keymint.api.graph import EdgeOutcome, Graph
 from keymint.command_line.named_files import deliver, made_of, read_input, source_files

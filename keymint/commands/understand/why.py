@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from typing import Any
 
 import click
 
+from comarmor.values import replace
 from keymint.api import DomainRange, Endpoint, Tier
 from keymint.command_line.options import implementation_option, kind_option, raw_topic_doubt
 from keymint.command_line.verb import Report, Run, argument, findings_if, option, verb

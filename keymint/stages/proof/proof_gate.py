@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import replace
 from functools import partial
 
+from comarmor.values import replace
 from keymint.api import LoadedPolicy, Proof
 from keymint.errors import Diagnostic, ExitCode, KeymintError, Severity
 from keymint.names import name_of

@@ -9,11 +9,11 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from functools import lru_cache
 from itertools import chain
 from typing import TYPE_CHECKING
 
+from comarmor.values import replace
 from keymint import __version__, api
 from keymint.authority.authority_files import chains_digest, trusted_chains
 from keymint.authority.examine import contradictions_for

@@ -8,8 +8,8 @@ Whether an enclave rests on them is asked of its build type.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 
+from comarmor.values import replace
 from keymint.api import BuildType, EnclaveFiles, Package, TrustAnchor, TrustAnchors
 from keymint.authority.authority_files import trusted_chains
 from keymint.authority.examine import contradictions_for

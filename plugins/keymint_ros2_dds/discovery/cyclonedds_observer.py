@@ -11,11 +11,11 @@ import ctypes
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from ctypes import POINTER, Structure, byref, c_bool, c_char_p, c_int32, c_int64, c_size_t, c_uint32, c_uint64, c_void_p
-from dataclasses import replace
 from functools import cache, partial
 from threading import Event
 from typing import Any
 
+from comarmor.values import replace
 from keymint.api import Availability, DiscoveredGraph
 from keymint.errors import Diagnostic, KeymintError
 from keymint_ros2_dds.discovery.capture import DiscoveredEndpoint, DiscoveredParticipant, discovered_graph

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from functools import lru_cache
 
 from lxml import etree
@@ -14,6 +13,7 @@ from comarmor.patterns.expression import exact
 from comarmor.patterns.glob import EVERYTHING, Glob
 from comarmor.patterns.relations import covers, union_covers
 from comarmor.text import lazy_regex
+from comarmor.values import replace
 from keymint.api import Package
 from keymint.errors import Diagnostic, KeymintError, Severity
 from keymint_ros2_dds.documents import dds_xml

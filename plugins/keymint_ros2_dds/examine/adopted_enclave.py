@@ -8,12 +8,12 @@ keystore that is to be taken over stands in a table; a few more rules ask what o
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from datetime import timedelta
 from typing import Any
 
 from cryptography import x509
 
+from comarmor.values import replace
 from keymint.api import DomainRange, FoundEnclave, FoundGrant, TrustAnchor, TrustAnchors, Validity
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.names import name_of, package_name

@@ -9,12 +9,12 @@ whether it revokes the certificate beside it, are rules about every enclave
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 from cryptography import x509
 
 from comarmor.text import hexadecimal, quantity
+from comarmor.values import replace
 from keymint.api import FoundAuthority, FoundEnclave, FoundKeystore, KeystoreFiles, TrustAnchor
 from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.pki import certificates, extensions, foreign_authorities, keys, revocation_lists

@@ -6,11 +6,11 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from datetime import timedelta
 
 from comarmor.patterns.decision_lists import SearchBudget
 from comarmor.patterns.tokens import PatternError
+from comarmor.values import replace
 from keymint.api import Inspection
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.pki import certificates, distinguished_names, smime

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import replace
 from functools import lru_cache
 
 from lxml import etree
 
+from comarmor.values import replace
 from keymint.api import BuildOptions, Comparison, ComparisonTask, DocumentComparison, ImportedSubject, Package, Relation
 from keymint.errors import Diagnostic, KeymintError
 from keymint.pki import distinguished_names

@@ -14,13 +14,13 @@ none of these. A class in a policy is that of the C locale.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 from functools import lru_cache
 
 from comarmor.patterns.decision_lists import Universe
 from comarmor.patterns.glob import Glob, normalise, parse
 from comarmor.patterns.tokens import Dialect, Undefined, charset
 from comarmor.text import lazy_regex
+from comarmor.values import replace
 from keymint.ir import Rule, SubjectRules
 from keymint_ros2_dds.decision.semantics import STANDARD, Semantics
 from keymint_ros2_dds.lowering.name_mapping import TopicAction

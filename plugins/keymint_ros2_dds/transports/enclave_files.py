@@ -6,11 +6,11 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
-from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
+from comarmor.values import replace
 from keymint.api import Environment, InstalledEnclave
 from keymint.api.transports import installed_file
 from keymint.errors import KeymintError, Origin

@@ -11,13 +11,13 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import NamedTuple
 
 from comarmor.rules import is_fully_qualified
+from comarmor.values import replace
 from keymint.api import Availability, Environment, InstalledEnclave, Tier, Verdict
 from keymint.api.graph import Column, Edge
 from keymint.errors import KeymintError

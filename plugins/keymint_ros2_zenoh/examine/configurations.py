@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import replace
 from typing import Any
 
 from comarmor.text import quote
+from comarmor.values import replace
 from keymint.api import Package
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint_ros2_zenoh.documents.configuration import (

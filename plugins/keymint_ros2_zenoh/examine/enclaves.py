@@ -9,7 +9,6 @@ An enclave cannot vouch for itself, and no session or router looks at the signat
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from datetime import timedelta
 from functools import lru_cache
 
@@ -18,6 +17,7 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from comarmor.text import quote
+from comarmor.values import replace
 from keymint.api import EnclaveFiles, Inspection, TrustAnchor, ValidityTerm
 from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.names import name_of
