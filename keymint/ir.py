@@ -95,11 +95,11 @@ def kind_of(rules: Iterable[Rule]) -> tuple[Kind, Arguments]:
     numbers: dict[str, int] = {}
     kind = []
     for rule in rules:
-        expressions = tuple(
+        expressions = [
             _numbered(text, numbers) if SPECIAL.search(text) else numbers.setdefault(text, len(numbers))
             for text in rule.expressions
-        )
-        kind.append((rule.effect, rule.kind, rule.permissions, expressions, rule.partitions, rule.audit))
+        ]
+        kind.append((rule.effect, rule.kind, rule.permissions, tuple(expressions), rule.partitions, rule.audit))
     return _shared(tuple(kind)), tuple(numbers)
 
 

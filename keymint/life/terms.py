@@ -179,9 +179,10 @@ def of_sources(by_package: Mapping[str, Iterable[Term]], session: Session) -> tu
         own = _lifetime("authority", specs[name].validity, specs[name].issuer, specs[name].origin)
         terms.append((own, f"certificate of the authority {name!r}", ""))
     warnings: list[Diagnostic] = []
-    quiet: set[Term] = set()  # most packages have the same lifetimes
+    quiet, seen = set[Term](), set[int]()  # most packages have the same lifetimes
     for each, what, subject in terms:
-        if each in quiet:
+        if id(each) in seen or each in quiet:
+            seen.add(id(each))
             continue
         before = len(warnings)
         term = ValidityTerm(each.what, f"the {what}", each.where, ((each.first, each.last),))

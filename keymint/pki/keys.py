@@ -100,10 +100,18 @@ def is_in_memory(key: PrivateKey) -> bool:
     return type(key).__module__.startswith("cryptography.")
 
 
+_known_ecdsa: dict[str, ec.ECDSA] = {}
+"""By the hash algorithm: to make one takes a twentieth of a signature."""
+
+
+def _ecdsa(digest: hashes.HashAlgorithm) -> ec.ECDSA:
+    return _known_ecdsa.get(digest.name) or _known_ecdsa.setdefault(digest.name, ec.ECDSA(digest))
+
+
 def signature_over(data: bytes, key: PrivateKey, digest: hashes.HashAlgorithm) -> bytes:
     """Return the signature of a key: ECDSA, or RSA with PKCS #1 v1.5."""
     if isinstance(key, ec.EllipticCurvePrivateKey):
-        return key.sign(data, ec.ECDSA(digest))
+        return key.sign(data, _ecdsa(digest))
     return key.sign(data, padding.PKCS1v15(), digest)
 
 
@@ -111,7 +119,7 @@ def verifies(signature: bytes, data: bytes, key: PublicKey, digest: hashes.HashA
     """Return whether a signature over some data was made by the key of :func:`signature_over` with this public half."""
     try:
         if isinstance(key, ec.EllipticCurvePublicKey):
-            key.verify(signature, data, ec.ECDSA(digest))
+            key.verify(signature, data, _ecdsa(digest))
         else:
             key.verify(signature, data, padding.PKCS1v15(), digest)
     except InvalidSignature:

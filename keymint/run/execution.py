@@ -461,10 +461,11 @@ def require_register(plan: Plan, inputs: Inputs) -> None:
 def _staged(plan: Plan, record: Iterable[FolderChange], store: Store, workers: Workers) -> Sequence[Exchange]:
     """Stage a plan and its record. What other processes hold comes before what is removed."""
     folders = [str(change.folder) for change in plan.changes() if change.held]
-    if not folders and not any(plan.held()):
+    held = [*plan.held()]
+    if not folders and not held:
         return store.stage((*plan.changes(), *record))
-    names = [each.name for each in plan.held()]
-    around = {place for each in plan.held() for place, *_ in each.places}
+    names = [each.name for each in held]
+    around = {place for each in held for place, *_ in each.places}
     store.make_common([*folders, *(f"{place}{end(names)}" for place in around for end in (min, max))])
     _trim()  # the register and the record of a large fleet take memory
     removals = Plan(tuple(step for step in plan.steps if step.action is Action.REMOVED), plan.state)

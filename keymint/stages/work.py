@@ -273,19 +273,20 @@ def planned_apart(
     """
     waiting: list[tuple[str, dict[str, PackagePlan]]] = []
 
-    def after(session: Session, needed: Callable[[str], bool]) -> Session:
+    def with_plans_of(needed: Iterable[str]) -> Session:
+        after = session
         for stage, plans in waiting:
-            if found := [plans.pop(name) for name in [*filter(needed, plans)]]:
-                session = session_after(session, stage, found)
-        return session
+            if found := [plans.pop(name) for name in needed if name in plans]:
+                after = session_after(after, stage, found)
+        return after
 
     for start in stages:
-        session = after(session, lambda name: not (new and new.is_filled_in(name)))
+        session = with_plans_of([name for name in names if not (new and new.is_filled_in(name))])
         stage = start(session)
         found = {name: new and new.planned(stage, name) for name in names}
-        left = {name for name, each in found.items() if not each}
-        if (with_them := after(session, left.__contains__)) is not session:
-            session, stage = with_them, start(with_them)
+        whole = with_plans_of([name for name, each in found.items() if not each])
+        if whole is not session:
+            session, stage = whole, start(whole)
         planned = [found[name] or stage.package(name) for name in names]
         yield planned
         plans = [each for each in planned if isinstance(each, PackagePlan)]

@@ -84,6 +84,10 @@ class FolderContent(Data, frozen=False):
         """Return the number of files that are written here or below."""
         return len(self.files) + sum(inner.size() for inner in self.folders.values())
 
+    def writes(self) -> bool:
+        """Tell whether a file is written here or below."""
+        return bool(self.files) or any(inner.writes() for inner in self.folders.values())
+
     def removes(self) -> bool:
         """Tell whether a file is removed here or below."""
         return bool(self.removed) or any(inner.removes() for inner in self.folders.values())
@@ -125,7 +129,7 @@ class Staging:
             try:
                 for root, tree in self._trees.items():
                     # What is only removed creates no root.
-                    if tree.size() or os.path.lexists(root):
+                    if tree.writes() or os.path.lexists(root):
                         self._inside(folders.open(root), root, tree)
                 for order, folder, change, private in self._kept:
                     if change.files or os.path.lexists(folder):
@@ -192,7 +196,7 @@ class Staging:
         shown = f"{around}/{name}"
         with reported(shown):
             if content.removes():
-                if not content.size() and _is_emptied(old, content):
+                if not content.writes() and _is_emptied(old, content):
                     gone = dict(content.changed())
                     self._exchanges.append(Exchange(content.order, around, name, None, replaces=True, changed=gone))
                     return
@@ -267,7 +271,7 @@ class Staging:
                     file_writing.create(new, shown, file, changed, (replaced.st_uid, replaced.st_gid))
                 there = {each.name for each in os.scandir(new) if each.is_dir()}
                 for inner, below in content.folders.items():
-                    if below.size() and inner not in there:
+                    if below.writes() and inner not in there:
                         self._create(new, inner, f"{shown}/{inner}", below)
                 if content.removes() and not list(os.scandir(new)):
                     os.rmdir(name, dir_fd=new_parent)
@@ -319,7 +323,7 @@ class Staging:
             try:
                 files = {inner: file_writing.create(new, shown, inner, file) for inner, file in content.files.items()}
                 for inner, below in content.folders.items():
-                    if below.size():
+                    if below.writes():
                         self._create(new, inner, f"{shown}/{inner}", below)
                 status = new_status(file_writing.with_mode(new, mode), files, content.folders)
                 if status is not None and not (files and content.folders):

@@ -127,11 +127,10 @@ def _row(stamp: Stamp) -> StampRow:
     texts = [stamp.inputs, stamp.context, stamp.lifetimes, *map(stamp.outputs.__getitem__, files)]
     common: list[tuple[str, ...]] = [()] * len(texts)
     own = texts
-    for at in range(len(texts) - 1, -1, -1):
-        if len(text := texts[at]) > _DIGEST:
-            pieces = text.split("'")
-            pieces = pieces if len(pieces) % 2 else [text]
-            common[at], own = tuple(pieces[::2]), [*own[:at], *pieces[1::2], *own[at + 1 :]]
+    for at in reversed([at for at, size in enumerate(map(len, texts)) if size > _DIGEST]):
+        pieces = texts[at].split("'")
+        pieces = pieces if len(pieces) % 2 else [texts[at]]
+        common[at], own = tuple(pieces[::2]), [*own[:at], *pieces[1::2], *own[at + 1 :]]
     line = "\t".join(own)
     if (
         ":" in line or "\n" in line or line.count("\t") >= len(own) or not line.isascii()

@@ -190,8 +190,11 @@ def users(session: Session) -> Mapping[str, tuple[str, ...]]:
     names, before = session.packages(), session.state
     found: dict[str, tuple[str, ...]] = {}
     for name in names:
+        if recorded := before.build_types(BUILD, name):
+            found[name] = recorded
+            continue
         with contextlib.suppress(KeymintError):  # raised below, if there are shared documents
-            found[name] = before.build_types(BUILD, name) or tuple(build_types_of(session, session.package(name)))
+            found[name] = tuple(build_types_of(session, session.package(name)))
     if not (shared := _sharing(session, found)):
         return {}
     defects = Defects()

@@ -139,7 +139,7 @@ class Structure(Data):
 
 def may_differ(kind: Kind, arguments: Arguments) -> bool:
     """Tell whether a subject with other wildcards may have a document alike: each is a single ``*`` in plain text."""
-    slots = _own_slots(kind) if any("*" in text for text in arguments) else ()
+    slots = _own_slots(kind) if "*" in "".join(arguments) else ()
     for prefix, number, _ in slots:
         text = arguments[number].replace("*", "x")
         if len(text) > MOST_LETTERS or not (is_fully_qualified(text) if prefix else PLAIN_TEXT.fullmatch(text)):
@@ -291,7 +291,7 @@ def emit_by_kind(package: Package, options: BuildOptions) -> Emitted:
         return emit(package, options)
     kind, arguments = package.grant.rules.kind
     domains = package.grant.domains
-    same = () if may_differ(kind, arguments) else tuple(text for text in arguments if "*" in text)
+    same = () if may_differ(kind, arguments) else tuple([text for text in arguments if "*" in text])
     key = id(kind), package.distro, domains, same  # to hash a kind takes long, and equal ones are one object
     members = _known.get(key)
     if members is not None:
