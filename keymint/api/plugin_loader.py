@@ -9,7 +9,6 @@ import importlib.util
 import json
 import os
 import re
-import shlex
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
@@ -80,7 +79,7 @@ def how_to_add(package: str) -> str:
         command = ["uv", "pip", "install", "--python", sys.executable, package]
     else:
         command = [sys.executable, "-m", "pip", "install", package]
-    return shlex.join(command)
+    return str(import_module("shlex").join(command))
 
 
 def _kind(group: str) -> str:

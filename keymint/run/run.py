@@ -7,7 +7,6 @@ import contextlib
 import fcntl
 import functools
 import itertools
-import shlex
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
@@ -41,6 +40,7 @@ if TYPE_CHECKING:
     from keymint.pki.tokens.token_sessions import Tokens
 
 _pool = lazy("keymint.host.pool:Pool")  # few runs divide work so
+_quote = lazy("shlex:quote")
 _tokens = lazy("keymint.pki.tokens.token_sessions:Tokens")  # and few have a key in a token
 
 
@@ -160,7 +160,7 @@ class Run:
         for folder, name in self.folder_names.items():
             message, help_ = message.replace(folder, name), help_.replace(folder, name)
         if self._named not in {None, Path()}:
-            name = shlex.quote(str(self._named)).replace("'", '"')
+            name = _quote(str(self._named)).replace("'", '"')
             message, help_ = (_COMMAND.sub(lambda found: f"{found[1]} -w {name}'", text) for text in (message, help_))
         where = diagnostic.where and diagnostic.where.with_files(self.typed)
         return replace(diagnostic, message=message, where=where, help=help_)
