@@ -165,12 +165,13 @@ _HEAD = (
     '<?xml version="1.0" encoding="UTF-8"?>\n<dds xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance"'
     ' xsi:noNamespaceSchemaLocation="'
 )
-"""What the form begins with."""
+_END = "\n</dds>\n"
+"""What the form begins and ends with."""
 _ID = r"(?:0|[1-9][0-9]{0,2})"
 
 
 def _lines(*lines: str) -> str:
-    return "".join(rf"\n *+{each}" for each in lines)
+    return "".join(f"\n{each}" for each in lines)
 
 
 def _any_criteria() -> str:
@@ -184,7 +185,7 @@ def _any_criteria() -> str:
 
 @cache
 def _plain_form() -> re.Pattern[str]:
-    """Return what follows the head in documents of Keymint: valid, with nothing that a vendor may read differently."""
+    """Return what follows the head in a document of Keymint, unindented: valid, and each vendor reads it alike."""
     id_range = _lines("<id_range>", f"<min>{_ID}</min>", f"<max>{_ID}</max>", "</id_range>")
     return re.compile(
         rf'(?:(?!"){_TEXT})*+">'
@@ -197,7 +198,7 @@ def _plain_form() -> re.Pattern[str]:
         + f"(?:{_lines(f'<id>{_ID}</id>')}|{id_range})++{_lines('</domains>')}"
         + _any_criteria()
         + _lines("</(?P=effect)_rule>") + ")*+"
-        + _lines("<default>(?:ALLOW|DENY)</default>", "</grant>", "</permissions>") + "\n</dds>\n",
+        + _lines("<default>(?:ALLOW|DENY)</default>", "</grant>", "</permissions>") + _END,
         re.ASCII,
     )  # fmt: skip
 
@@ -224,7 +225,9 @@ def _plain(content: bytes) -> tuple[DocumentGrant, ...] | None:
     ):
         return None
     text = content.decode()
-    match = _plain_form().fullmatch(text, len(_HEAD)) if text.startswith(_HEAD) else None
+    unindented = "\n".join([line.lstrip(" ") for line in text.split("\n")])
+    is_framed = text.startswith(_HEAD) and text.endswith(_END)
+    match = _plain_form().fullmatch(unindented, len(_HEAD)) if is_framed else None
     if match is None or dialects.fast_date(match["begin"]) is None or dialects.fast_date(match["end"]) is None:
         return None
     # The form has no DOCTYPE and no entity, and is far below every limit, so that lxml alone may parse it.
