@@ -19,6 +19,8 @@ from comarmor.errors import ComArmorError, Origin
 from comarmor.text import did_you_mean, lazy_regex, quote
 from comarmor.values import Data
 
+_SPECIAL = {"", ".", ".."}
+"""Parts of a path that are no name."""
 FOLLOW_LINKS = "--trust-links follows it, e.g. in what 'colcon build --symlink-install' made"
 """What to do about a link that leads out of a package."""
 
@@ -56,9 +58,13 @@ class SandboxedFolder(Data):
         Raises:
             ComArmorError: the path leads outside of the folder, also by ``..`` or a symbolic link.
         """
-        outside = relative.split("/", 1)[0] == ".."
+        names, real = relative.split("/"), self.real / relative
+        outside = names[0] == ".."
         with file_errors("the file", where):
-            real = (self.real / relative).resolve()
+            below = [real, *real.parents[: len(names) - 1]]
+            if _SPECIAL.isdisjoint(names) and not any(each.is_symlink() for each in below):
+                return real  # the folder is resolved, and there is no link below it
+            real = real.resolve()
         if outside or not (self.trusts_links or real.is_relative_to(self.real)):
             copy = "copy the file into the folder, and include the copy"
             message = f"{quote(relative, 200)} is outside of the policy's folder {quote(path_text(self.shown), 200)}"
