@@ -65,8 +65,7 @@ class Forked:
             EOFError: the process ended.
         """
         size = int.from_bytes(self._answers.read(_SIZE))
-        answer = self._answers.read(size)
-        if not size or len(answer) < size:
+        if not size or len(answer := self._answers.read(size)) < size:
             raise EOFError
         return _loads(answer)
 

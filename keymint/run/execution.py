@@ -110,14 +110,14 @@ class Workers(Crew):
             return
         # What the first packages need is imported, compiled and proven once for all processes.
         with contextlib.suppress(KeymintError):
-            for _ in _plan((session, names[:FIRST], stages, self.new)):
+            for _ in planned_apart(session, names[:FIRST], stages, self.new):
                 pass
-        _trim()  # the processes inherit what the parsed policy took and is free
+        _trim(len(names))  # the processes inherit what the parsed policy took and is free
         for part in parts[1:]:
             self._processes.append(_fork(partial(_work, (session, part, stages, self.new)), self._processes))
         self._sources = [partial(self._own.pop, 0), *(each.receive for each in self._processes)]
         with _refusing(self._own.append):
-            for planned, _ in _plan((session, parts[0], stages, self.new)):
+            for planned in planned_apart(session, parts[0], stages, self.new):
                 self._own.append((_DONE, planned))
 
     def planned(self, stage: PackageStage, names: Sequence[str]) -> list[Any]:
@@ -182,9 +182,9 @@ def _shares(size: int, count: int) -> list[float]:
     return [own, *[(1 - own) / others] * others] if count > 1 else [1]
 
 
-def _trim() -> None:
-    """Give memory that is free back to the system, which the library keeps for later."""
-    if trim := c_function("malloc_trim"):
+def _trim(size: int) -> None:
+    """Give memory that is free back to the system, which the library keeps for later, if a fleet is large."""
+    if size > MOST_OWN and (trim := c_function("malloc_trim")):
         trim(0)
 
 
@@ -307,34 +307,26 @@ def _planned_in_parts(send: Callable[[bytes], object], task: _Task) -> _Changes:
     changes: list[list[Iterable[FolderChange]]] = [[] for _ in stages]
     refused: KeymintError | None = None
     for part in parts:
-        is_last = part is parts[-1]
-        planned = _plan((session.apart(), part, stages[: len(answers)], new))
-        for number, of_stage in enumerate(answers):
-            try:
-                found, changed = next(planned)
-            except KeymintError as error:
-                refused = error
-            except StopIteration:  # a package has errors, which the parent reports without what comes after it
-                refused = None
-            else:
+        is_last, done = part is parts[-1], 0
+        planned = planned_apart(session.apart(), part, stages[: len(answers)], new)
+        try:
+            for of_stage, kept, found in zip(answers, changes, planned, strict=False):
                 plans = [_row(each) if isinstance(each, PackagePlan) else each for each in found]
                 of_stage.append(_dumps((_DONE if is_last else _PART, plans)))
-                changes[number].append(PackedChanges(changed) if len(parts) > 1 else changed)
+                steps = [each.step for each in found if isinstance(each, PackagePlan) and each.step]
+                changed = [change for step in steps for change in step.changes]
+                kept.append(PackedChanges(changed) if len(parts) > 1 else changed)
                 while is_last and of_stage:
                     send(of_stage.pop(0))
-                continue
-            del answers[number:]
-            break
+                done += 1
+            # A package may have errors, which the parent reports without what comes after it.
+            refused = refused if done == len(answers) else None
+        except KeymintError as error:
+            refused = error
+        del answers[done:]
     if refused:
         raise refused
     return changes
-
-
-def _plan(task: _Task) -> Iterator[tuple[list[Any], list[FolderChange]]]:
-    """Plan packages, and yield the plans of each stage, and their changes."""
-    for planned in planned_apart(*task):
-        steps = [each.step for each in planned if isinstance(each, PackagePlan) and each.step]
-        yield planned, [change for step in steps for change in step.changes]
 
 
 def _row(plan: PackagePlan) -> tuple[Any, ...]:
@@ -467,7 +459,7 @@ def _staged(plan: Plan, record: Iterable[FolderChange], store: Store, workers: W
     names = [each.name for each in held]
     around = {place for each in held for place, *_ in each.places}
     store.make_common([*folders, *(f"{place}{end(names)}" for place in around for end in (min, max))])
-    _trim()  # the register and the record of a large fleet take memory
+    _trim(len(held))  # the register and the record of a large fleet take memory
     removals = Plan(tuple(step for step in plan.steps if step.action is Action.REMOVED), plan.state)
     others = replace(plan, steps=tuple(step for step in plan.steps if step.action is not Action.REMOVED))
     staged: list[Exchange] = []
@@ -511,8 +503,7 @@ def remember(
     if not settled and not is_certain:
         return
     answer = Answer(*console.rendered(expected), int(expected.exit_code), settled, is_certain)
-    if len(plan.steps) > MIN_PACKAGES:
-        _trim()  # the folders of a large fleet take memory
+    _trim(len(plan.steps))  # the folders of a large fleet take memory
     if sight := look():  # as late as possible: the clock of the file system must have moved on
         record_answer(call, session, sight, (), answer, store)
 

@@ -250,11 +250,6 @@ class NewPackages:
         return NewPackage(name, rules, self._forms, written or "") if rules else None
 
 
-def planned_by(stage: PackageStage, names: Iterable[str], new: NewPackages | None) -> list[Any]:
-    """Return what a stage plans for each package, those that are new included."""
-    return [(new.planned(stage, name) if new else None) or stage.package(name) for name in names]
-
-
 def planned_apart(
     session: Session,
     names: Sequence[str],
@@ -325,7 +320,7 @@ class Crew:
         Raises:
             KeymintError: the stage cannot plan at all, or a process ended before it had planned its part.
         """
-        return planned_by(stage, names, self.new)
+        return [(self.new and self.new.planned(stage, name)) or stage.package(name) for name in names]
 
     def close(self) -> None:
         """End all processes; what they did not stage is lost."""

@@ -272,14 +272,13 @@ class Store:
         Raises:
             KeymintError: a path is not below a root, a symbolic link is in the way, or the system refuses.
         """
-        ends: dict[str, tuple[str, str]] = {}
-        for place in (f"{folder}/" for folder in folders):
-            first, last = ends.get(root := self._roots.of(place), (place, place))
-            ends[root] = min(first, place), max(last, place)
+        by_root: dict[str, set[str]] = {}
+        for folder in folders:
+            by_root.setdefault(self._roots.of(folder), set()).add(folder)
         with OpenFolders(self._roots) as opened:
-            for first, last in ends.values():
-                if first != last:
-                    common = os.path.commonpath([first, last])
+            for places in by_root.values():
+                if len(places) > 1:
+                    common = os.path.commonpath(places)
                     if not os.path.lexists(common):
                         self._roots.common.add(common)
                     opened.open(common)
