@@ -160,7 +160,8 @@ class Workers(Crew):
         """Yield the status of the new folders that the processes staged; it takes memory, so it is asked late."""
         with contextlib.suppress(KeymintError):  # a process ended: then the folders are looked at again
             for source in self._sources[1:] if self._have_staged else ():
-                yield from itertools.chain.from_iterable(_answers(source))
+                for folders, *columns in filter(None, _answers(source)):
+                    yield from zip(folders, map(FolderStatus, *columns), strict=True)
 
     def give_up(self) -> None:
         """End all processes, and start no others: the caller's process plans everything."""
@@ -280,9 +281,9 @@ def _work(task: _Task, told: int, pipe: BinaryIO) -> None:
                     return
                 store = open_store(task[0].workspace)
                 send((_DONE, [[each for part in of_stage for each in store.stage(part)] for of_stage in changes]))
-                seen = [*store.seen.items()]
+                seen = [(folder, *status) for folder, status in store.seen.items()]
                 for at in range(0, len(seen), MOST_PACKAGES):
-                    send((_PART, seen[at : at + MOST_PACKAGES]))
+                    send((_PART, [*zip(*seen[at : at + MOST_PACKAGES], strict=True)]))  # columns take less time
                 send((_DONE, ()))
         except Exception as error:  # noqa: BLE001 - the parent reports it
             import traceback  # noqa: PLC0415 - few runs need it

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import itertools
 import os
 import stat
@@ -34,8 +35,9 @@ class Roots:
         self.certain: set[str] = set()
         """The folders below a root whose names are synchronised, with all on the way to them."""
         self._prefixes = {f"{root}/": root for root in self.private}
+        self.of = functools.lru_cache(maxsize=64)(self._of)
 
-    def of(self, path: str) -> str:
+    def _of(self, path: str) -> str:
         """Return the root that a path belongs to.
 
         Raises:

@@ -82,15 +82,15 @@ class FolderContent(Data, frozen=False):
 
     def size(self) -> int:
         """Return the number of files that are written here or below."""
-        return len(self.files) + sum(inner.size() for inner in self.folders.values())
+        return len(self.files) + sum(map(FolderContent.size, self.folders.values()))
 
     def writes(self) -> bool:
         """Tell whether a file is written here or below."""
-        return bool(self.files) or any(inner.writes() for inner in self.folders.values())
+        return bool(self.files) or any(map(FolderContent.writes, self.folders.values()))
 
     def removes(self) -> bool:
         """Tell whether a file is removed here or below."""
-        return bool(self.removed) or any(inner.removes() for inner in self.folders.values())
+        return bool(self.removed) or any(map(FolderContent.removes, self.folders.values()))
 
     def changed(self, inside: str = "") -> Iterator[tuple[str, str | None]]:
         """Yield the path of each file that changes here or below, with its new digest, or None if it is removed."""
