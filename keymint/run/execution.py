@@ -69,6 +69,8 @@ MOST_OWN = 2_000
 COMMON_WORK = 0.05
 """What the parent does for all packages while they are planned, compared with planning them."""
 
+_WRITING = 3
+"""Stages that have a step for each package."""
 _PART, _DONE, _REFUSED, _CRASHED = "part", "done", "refused", "crashed"
 """Kinds of answers of a process: some plans of a stage, the last ones, and errors."""
 _Stages = Sequence[Callable[[Session], PackageStage]]
@@ -183,9 +185,9 @@ def _shares(size: int, count: int) -> list[float]:
     return [own, *[(1 - own) / others] * others] if count > 1 else [1]
 
 
-def _trim(size: int) -> None:
+def _trim(packages: int) -> None:
     """Give memory that is free back to the system, which the library keeps for later, if a fleet is large."""
-    if size > MOST_OWN and (trim := c_function("malloc_trim")):
+    if packages > MOST_OWN and (trim := c_function("malloc_trim")):
         trim(0)
 
 
@@ -460,7 +462,7 @@ def _staged(plan: Plan, record: Iterable[FolderChange], store: Store, workers: W
     names = [each.name for each in held]
     around = {place for each in held for place, *_ in each.places}
     store.make_common([*folders, *(f"{place}{end(names)}" for place in around for end in (min, max))])
-    _trim(len(held))  # the register and the record of a large fleet take memory
+    _trim(len(held) // _WRITING)  # the register and the record of a large fleet take memory
     removals = Plan(tuple(step for step in plan.steps if step.action is Action.REMOVED), plan.state)
     others = replace(plan, steps=tuple(step for step in plan.steps if step.action is not Action.REMOVED))
     staged: list[Exchange] = []
@@ -504,7 +506,7 @@ def remember(
     if not settled and not is_certain:
         return
     answer = Answer(*console.rendered(expected), int(expected.exit_code), settled, is_certain)
-    _trim(len(plan.steps))  # the folders of a large fleet take memory
+    _trim(len(plan.steps) // _WRITING)  # the folders of a large fleet take memory
     if sight := look():  # as late as possible: the clock of the file system must have moved on
         record_answer(call, session, sight, (), answer, store)
 
