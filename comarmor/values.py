@@ -81,12 +81,7 @@ else:
         cls = type(given)
         if _DECLARED not in vars(cls):
             return dataclasses.replace(given, **changes)
-        return cls(**{name: getattr(given, name) for name in _parameters(cls) if name not in changes}, **changes)
-
-
-@cache
-def _parameters(cls: type) -> list[str]:
-    return _given(cls)[0]
+        return cls(**{name: getattr(given, name) for name in _given(cls)[0] if name not in changes}, **changes)
 
 
 @cache
@@ -148,6 +143,7 @@ def _noted() -> list[tuple[str, Any]]:
     return [(slot, value) for slot in Field.__slots__ if getattr(bare, slot) is None and (value := getattr(full, slot))]
 
 
+@cache
 def _given(cls: type) -> tuple[list[str], dict[str, Any], dict[str, Callable[[], Any]]]:
     """Return the parameters of a class, the defaults of its fields, and what makes those that are made each time."""
     parameters: list[str] = []

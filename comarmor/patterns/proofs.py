@@ -16,7 +16,7 @@ from contextlib import suppress
 from functools import cache, partial
 from importlib import import_module
 from itertools import chain
-from typing import Any
+from typing import Any, cast
 
 from comarmor.patterns import evaluate
 from comarmor.patterns.decision_lists import EVERY_WORD, BudgetError, DecisionList, ProofResult, SearchBudget, Universe
@@ -74,8 +74,7 @@ def escapes(
         if len(permitting) == 1 and evaluate.implies(permitting[0], denying, universe):
             return None
         derivatives = cache(lambda: Derivatives(_patterns((*permitting, denying)), universe))
-        found: str | None = _cube_search(permitting, denying, universe, derivatives, limits.state_counter()).shortest()
-        return found
+        return _cube_search(permitting, denying, universe, derivatives, limits.state_counter())
 
     def is_denied(word: str) -> bool:
         return all(permits(each, word) for each in permitting) and not permits(denying, word)
@@ -83,9 +82,10 @@ def escapes(
     return limits.answer(search, lambda word: (True, not is_denied(word)))
 
 
-def _cube_search(*arguments: Any) -> Any:
-    """Return the first engine; most questions need none."""
-    return import_module("comarmor.patterns.counterexample_search").CounterexampleSearch(*arguments)
+def _cube_search(*lists: Any, limit: int | None = None) -> str | None:
+    """Return what the first engine finds, whose arguments these are."""
+    engine = import_module("comarmor.patterns.counterexample_search")  # most questions need no search
+    return cast("str | None", engine.CounterexampleSearch(*lists).shortest(limit))
 
 
 def _shortest_difference(
@@ -103,8 +103,7 @@ def _shortest_difference(
 
         def search(permitting: Sequence[DecisionList], denying: DecisionList, best: str | None) -> str | None:
             limit = None if best is None else len(best)
-            found: str | None = _cube_search(permitting, denying, universe, derivatives, count_state).shortest(limit)
-            return found
+            return _cube_search(permitting, denying, universe, derivatives, count_state, limit=limit)
 
         best: str | None = None
         for each in b:

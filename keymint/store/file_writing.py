@@ -10,7 +10,7 @@ cannot (NFS, some FUSE file systems), or not with each folder (overlayfs, for on
 Many files are synchronised by ``syncfs`` for the whole file system, a few by ``fsync`` one by one. ``syncfs`` waits for
 the data of all programs, so it is worth it only for many files. It is used on local file systems and on Linux 5.8 or
 newer, where it reports errors of writing (syncfs(2)). Servers of network file systems and FUSE programs need not
-implement it, so files are synchronised one by one there.
+implement it, so files are synchronised one by one there. What is in memory (tmpfs) needs no call.
 """
 
 from __future__ import annotations
