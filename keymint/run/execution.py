@@ -37,7 +37,7 @@ from keymint.output.console import Console
 from keymint.output.report import Report
 from keymint.stages.work import Crew, NewPackages, PackagePlan, PackageStage, planned_apart
 from keymint.store.changes import Action, File, FolderChange, HeldChanges, Plan, Step
-from keymint.store.file_writing import c_function
+from keymint.store.file_writing import c_function, open_at, reported, sync_file_system
 from keymint.store.journal import Journal
 from keymint.store.staged import Exchange
 from keymint.store.store import Store, clock
@@ -260,14 +260,20 @@ def _answers(receive: Callable[[], Any]) -> Iterator[list[Any]]:
 def _work(task: _Task, told: int, pipe: BinaryIO) -> None:
     """Plan packages and send the plans stage by stage; stage them when the parent says so.
 
-    This runs in a process of its own.
+    This runs in a process of its own. The system begins to write what all processes staged once this one has half of
+    its part.
     """
     answers: SimpleQueue[bytes | None] = _queue()
+    records = task[0].workspace.state
 
     def deliver() -> None:
         with contextlib.suppress(OSError):  # the parent ended
             for answer in iter(answers.get, None):
-                _send(pipe, answer)
+                if answer:
+                    _send(pipe, answer)
+                    continue
+                with _refusing(lambda no: _send(pipe, _dumps(no))), reported(records), open_at(records) as opened:
+                    sync_file_system(opened)
 
     def send(answer: tuple[Any, ...]) -> None:
         answers.put(_dumps(answer))
@@ -282,7 +288,12 @@ def _work(task: _Task, told: int, pipe: BinaryIO) -> None:
                 if not os.read(told, 1):  # the parent ended
                     return
                 store = open_store(task[0].workspace)
-                send((_DONE, [[each for part in of_stage for each in store.stage(part)] for of_stage in changes]))
+                staged: list[list[Exchange]] = []
+                for of_stage in changes:
+                    if of_stage is changes[len(changes) // 2]:
+                        answers.put(b"")
+                    staged.append([each for part in of_stage for each in store.stage(part)])
+                send((_DONE, staged))
                 seen = [(folder, *status) for folder, status in store.seen.items()]
                 for at in range(0, len(seen), MOST_PACKAGES):
                     send((_PART, [*zip(*seen[at : at + MOST_PACKAGES], strict=True)]))  # columns take less time

@@ -189,6 +189,30 @@ def test_a_process_that_is_ended_between_planning_and_staging(keymint: Keymint, 
     assert keymint("check", "-w", "ws").code == 0
 
 
+UNWRITTEN = """
+import errno, os, sys
+from keymint.run import execution
+from keymint.cli import main
+execution.MIN_PACKAGES, execution.MOST_PACKAGES = 10, 4
+def sync_file_system(opened):
+    raise OSError(errno.EIO, os.strerror(errno.EIO))
+execution.sync_file_system = sync_file_system
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def test_what_the_system_cannot_write_while_more_is_staged(keymint: Keymint, tmp_path: Path) -> None:
+    """It tells that once only."""
+    source = policy(tmp_path / "policy.xml")
+    refused = run(tmp_path, "provision", source, "-w", "ws", "-j", 2, program=UNWRITTEN)
+    assert refused.code == 1, refused.err
+    assert refused.err == "ws/.keymint: error: cannot be written: Input/output error [write-failed]\n"
+    found = [path.relative_to(tmp_path) for path in (tmp_path / "ws").rglob("*.pem")]
+    assert not [path for path in found if ".keymint-" not in str(path)]
+    assert keymint("provision", source, "-w", "ws", "-j", 1).code == 0
+    assert keymint("check", "-w", "ws").code == 0
+
+
 @pytest.mark.parametrize(
     ("stage", "name"), [("create", "robot8/talker"), ("install", "robot3/talker"), ("prove", "robot9/talker")]
 )
