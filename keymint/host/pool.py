@@ -72,8 +72,9 @@ class Forked:
     def end(self) -> None:
         """End the process, whatever it does."""
         self._close()
-        os.kill(self.pid, signal.SIGKILL)
-        os.waitpid(self.pid, 0)
+        with contextlib.suppress(ProcessLookupError, ChildProcessError):  # where SIGCHLD is ignored, it may be gone
+            os.kill(self.pid, signal.SIGKILL)
+            os.waitpid(self.pid, 0)
 
     def _close(self) -> None:
         os.close(self._told)

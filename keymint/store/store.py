@@ -4,8 +4,8 @@
 * Every path is walked from one of the store's roots without following a link, so nothing is written elsewhere.
 * Changes are staged under temporary names, and committed together: nothing is visible before all of it is written and
   synchronised. See :mod:`keymint.store.staged` and :mod:`keymint.store.group_commit`.
-* A new folder appears complete. A folder in which several files change is swapped in one step; see
-  :mod:`keymint.store.staged` and :mod:`keymint.store.file_writing`.
+* A new folder appears complete, but for one around what several processes stage. A folder in which several files
+  change is swapped in one step; see :mod:`keymint.store.staged` and :mod:`keymint.store.file_writing`.
 * A secret is 0600 from its first byte and its folder 0700, whatever the umask.
 * What a killed run made visible in part, the next run finishes; the rest of it is removed. See
   :mod:`keymint.store.journal`.

@@ -94,6 +94,21 @@ except KeymintError as error:
     assert done.stdout == "executor-lost\n", done.stderr
 
 
+def test_a_system_that_keeps_no_status_of_ended_processes() -> None:
+    done = run("""
+import signal
+signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # as a supervisor may leave it
+def work(task):
+    if os.getpid() == here and task == 5:  # the first one here
+        os.read(seen, 1)
+    else:
+        os.write(tell, b"!")
+    return task
+assert list(pool.map(work, range(6))) == [0, 1, 2, 3, 4, 5]
+""")
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_an_error_of_the_work_is_raised_as_it_is() -> None:
     done = run("""
 from comarmor.errors import ExitCode, Origin
