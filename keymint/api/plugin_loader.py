@@ -9,6 +9,7 @@ import importlib.util
 import json
 import os
 import re
+import shlex
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
@@ -79,7 +80,7 @@ def how_to_add(package: str) -> str:
         command = ["uv", "pip", "install", "--python", sys.executable, package]
     else:
         command = [sys.executable, "-m", "pip", "install", package]
-    return str(import_module("shlex").join(command))
+    return shlex.join(command)
 
 
 def _kind(group: str) -> str:

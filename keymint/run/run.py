@@ -7,6 +7,7 @@ import contextlib
 import fcntl
 import functools
 import itertools
+import shlex
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
@@ -27,8 +28,7 @@ from keymint.store.changes import File, Plan, Step
 from keymint.store.journal import Journal, intent_of
 from keymint.store.store import LOCK, clock, clock_now, path_lock
 from keymint.view.recorded_answers import Answer, Call, Sight, is_recordable, known_folders
-from keymint.view.stamps import MAX_RECORD, State
-from keymint.view.stamps import load as load_state
+from keymint.view.stamps import MAX_RECORD, State, load as load_state
 from keymint.view.tree import HeldError, Tree, read_file
 from keymint.workspace.installed_enclaves import KEY
 from keymint.workspace.policy_loading import POLICY
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from keymint.pki.tokens.token_sessions import Tokens
 
 _pool = lazy("keymint.host.pool:Pool")  # few runs divide work so
-_quote = lazy("shlex:quote")
 _tokens = lazy("keymint.pki.tokens.token_sessions:Tokens")  # and few have a key in a token
 
 
@@ -160,7 +159,7 @@ class Run:
         for folder, name in self.folder_names.items():
             message, help_ = message.replace(folder, name), help_.replace(folder, name)
         if self._named not in {None, Path()}:
-            name = _quote(str(self._named)).replace("'", '"')
+            name = shlex.quote(str(self._named)).replace("'", '"')
             message, help_ = (_COMMAND.sub(lambda found: f"{found[1]} -w {name}'", text) for text in (message, help_))
         where = diagnostic.where and diagnostic.where.with_files(self.typed)
         return replace(diagnostic, message=message, where=where, help=help_)

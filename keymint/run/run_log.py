@@ -58,7 +58,7 @@ def log_change(
     entry = {
         "at": now.isoformat(),
         "verb": verb,
-        "command": (_SECRET.sub(r"\1***", command) if "=" in command or "://" in command else command)[:_LONGEST],
+        "command": _SECRET.sub(r"\1***", command)[:_LONGEST],
         "user": who[0],
         "host": who[1],
         "version": __version__,

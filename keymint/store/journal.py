@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import itertools
 import os
+import shlex
 from collections.abc import Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -86,10 +86,6 @@ class Journal(Data):
         return sealed_document({"version": VERSION, "intent": intent, "exchanges": rows, "finished": self.finished})
 
 
-_PLAIN = str.maketrans("", "", "@%+=:,./-_")
-"""Removes what is no letter or digit, and is not quoted in a shell."""
-
-
 def intent_of(arguments: Sequence[str], folder: Path) -> Journal:
     """Return the journal of a command that did nothing yet.
 
@@ -100,7 +96,7 @@ def intent_of(arguments: Sequence[str], folder: Path) -> Journal:
     words = ["keymint", *(word for word in arguments if word not in _SHOWN)]
     parts = words[:2]
     if not _NAMING_FILES.intersection(parts):
-        return Journal(_typed(words), digest(*words))
+        return Journal(shlex.join(words), digest(*words))
     for before, word in itertools.pairwise(words[1:]):
         path = folder / word.rpartition("=")[2]
         is_input = not before.startswith(_OUTPUTS) and not word.startswith(_OUTPUTS) and path.exists()
@@ -108,14 +104,7 @@ def intent_of(arguments: Sequence[str], folder: Path) -> Journal:
         if is_input and not before.startswith("-") and path.is_dir():
             inside = {each: each.lstat() for each in itertools.islice(path.rglob("*"), _MOST_FILES)}
             parts += sorted(f"{each} {status.st_size} {status.st_mtime_ns}" for each, status in inside.items())
-    return Journal(_typed(words), digest(*parts))
-
-
-def _typed(words: Sequence[str]) -> str:
-    """Return words as :func:`shlex.join`, which takes long to load and leaves most of them as they are."""
-    plain = "".join(words)
-    is_plain = all(words) and plain.isascii() and plain.translate(_PLAIN).isalnum()
-    return " ".join(words) if is_plain else str(import_module("shlex").join(words))
+    return Journal(shlex.join(words), digest(*parts))
 
 
 def load(content: bytes, records: Path) -> Journal:
