@@ -18,22 +18,22 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from comarmor.errors import ComArmorError as ComArmorError
-    from comarmor.errors import Diagnostic as Diagnostic
-    from comarmor.errors import Origin as Origin
-    from comarmor.errors import Severity as Severity
+    from comarmor.errors import (
+        ComArmorError as ComArmorError,
+        Diagnostic as Diagnostic,
+        Origin as Origin,
+        Severity as Severity,
+    )
     from comarmor.language.formatting import render as render
-    from comarmor.language.loading import load as load
-    from comarmor.language.loading import load_all as load_all
+    from comarmor.language.loading import load as load, load_all as load_all
     from comarmor.language.policy import Policy as Policy
-    from comarmor.language.syntax import Attachment as Attachment
-    from comarmor.language.syntax import Decision as Decision
-    from comarmor.language.syntax import Profile as Profile
-    from comarmor.language.syntax import ProfileRule as ProfileRule
-    from comarmor.rules import PARTS as PARTS
-    from comarmor.rules import PERMISSIONS as PERMISSIONS
-    from comarmor.rules import Effect as Effect
-    from comarmor.rules import Rule as Rule
+    from comarmor.language.syntax import (
+        Attachment as Attachment,
+        Decision as Decision,
+        Profile as Profile,
+        ProfileRule as ProfileRule,
+    )
+    from comarmor.rules import PARTS as PARTS, PERMISSIONS as PERMISSIONS, Effect as Effect, Rule as Rule
 
 
 _MODULES = {

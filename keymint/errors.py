@@ -5,8 +5,18 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from comarmor.errors import ComArmorError as KeymintError
-from comarmor.errors import Defects, Diagnostic, ExitCode, Origin, Reason, Severity, Spot, citation, library_name
+from comarmor.errors import (
+    ComArmorError as KeymintError,
+    Defects,
+    Diagnostic,
+    ExitCode,
+    Origin,
+    Reason,
+    Severity,
+    Spot,
+    citation,
+    library_name,
+)
 from comarmor.text import did_you_mean
 
 __all__ = [

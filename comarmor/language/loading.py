@@ -17,8 +17,7 @@ from comarmor.patterns.expression import parse as parse_expression
 from comarmor.rules import Expectation
 from comarmor.xml import schema
 from comarmor.xml.package_folders import PackageFolders
-from comarmor.xml.reader import LIMITS, XINCLUDE, line
-from comarmor.xml.reader import parse as parse_xml
+from comarmor.xml.reader import LIMITS, XINCLUDE, line, parse as parse_xml
 from comarmor.xml.sandboxed_paths import file_errors
 
 _MANY = 3

@@ -8,8 +8,13 @@ from collections.abc import Iterator
 from lxml import etree
 
 from comarmor.errors import ComArmorError, Diagnostic, Origin
-from comarmor.language.attachments import MOST_EXPANDED_CHARACTERS, ExpansionBudget, TunableScope, strip
-from comarmor.language.attachments import parse as parse_attachment
+from comarmor.language.attachments import (
+    MOST_EXPANDED_CHARACTERS,
+    ExpansionBudget,
+    TunableScope,
+    parse as parse_attachment,
+    strip,
+)
 from comarmor.language.policy import Policy
 from comarmor.language.policy_files import PolicyFile, PolicyFiles
 from comarmor.language.source import INCLUDE

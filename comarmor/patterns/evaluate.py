@@ -10,8 +10,7 @@ every denial before it there either comes before it here, or has no word in comm
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from collections.abc import Set as AbstractSet
+from collections.abc import Iterable, Iterator, Sequence, Set as AbstractSet
 from functools import cached_property, lru_cache
 
 from comarmor.patterns.decision_lists import Block, DecisionList, Universe

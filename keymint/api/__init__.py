@@ -27,49 +27,107 @@ from typing import Any
 from comarmor.rules import Expectation as Expectation
 from keymint.api.build_types import BuildType as BuildType, NameMapping as NameMapping
 from keymint.api.building import (
-    Artifact as Artifact, AuthorityRole as AuthorityRole, BuildOptions as BuildOptions, BuildResult as BuildResult,
-    Credentials as Credentials, EnvironmentVariable as EnvironmentVariable, Hint as Hint,
-    Implementation as Implementation, Inspection as Inspection, Layout as Layout, SigningAuthority as SigningAuthority,
-)  # fmt: skip
+    Artifact as Artifact,
+    AuthorityRole as AuthorityRole,
+    BuildOptions as BuildOptions,
+    BuildResult as BuildResult,
+    Credentials as Credentials,
+    EnvironmentVariable as EnvironmentVariable,
+    Hint as Hint,
+    Implementation as Implementation,
+    Inspection as Inspection,
+    Layout as Layout,
+    SigningAuthority as SigningAuthority,
+)
 from keymint.api.foreign_keystores import (
-    AdoptedSources as AdoptedSources, FoundAuthority as FoundAuthority, FoundEnclave as FoundEnclave,
-    FoundGrant as FoundGrant, FoundKeystore as FoundKeystore, GrantedRules as GrantedRules,
-    KeystoreFile as KeystoreFile, KeystoreFiles as KeystoreFiles, KeystoreReader as KeystoreReader,
-)  # fmt: skip
+    AdoptedSources as AdoptedSources,
+    FoundAuthority as FoundAuthority,
+    FoundEnclave as FoundEnclave,
+    FoundGrant as FoundGrant,
+    FoundKeystore as FoundKeystore,
+    GrantedRules as GrantedRules,
+    KeystoreFile as KeystoreFile,
+    KeystoreFiles as KeystoreFiles,
+    KeystoreReader as KeystoreReader,
+)
 from keymint.api.package_types import PackageType as PackageType
 from keymint.api.packages import (
-    Authority as Authority, AuthorityIssuance as AuthorityIssuance, CertificateSpec as CertificateSpec,
-    DomainRange as DomainRange, Extension as Extension, Grant as Grant, Issuance as Issuance, KeySpec as KeySpec,
-    Package as Package, PackageSettings as PackageSettings, PackageSources as PackageSources, Phase as Phase,
-    Role as Role, Rollover as Rollover, SourcePart as SourcePart, Validity as Validity,
-)  # fmt: skip
+    Authority as Authority,
+    AuthorityIssuance as AuthorityIssuance,
+    CertificateSpec as CertificateSpec,
+    DomainRange as DomainRange,
+    Extension as Extension,
+    Grant as Grant,
+    Issuance as Issuance,
+    KeySpec as KeySpec,
+    Package as Package,
+    PackageSettings as PackageSettings,
+    PackageSources as PackageSources,
+    Phase as Phase,
+    Role as Role,
+    Rollover as Rollover,
+    SourcePart as SourcePart,
+    Validity as Validity,
+)
 from keymint.api.policies import (
-    AppliedProfile as AppliedProfile, ExportedPolicy as ExportedPolicy, ImportedPolicy as ImportedPolicy,
-    ImportedSubject as ImportedSubject, ImportRequest as ImportRequest, LearnedPolicy as LearnedPolicy,
-    LoadedPolicy as LoadedPolicy, PolicyDecision as PolicyDecision, PolicyFormat as PolicyFormat,
-    PolicySource as PolicySource, PolicyStructure as PolicyStructure, PolicyType as PolicyType,
-    WrittenProfile as WrittenProfile, WrittenRule as WrittenRule,
-)  # fmt: skip
+    AppliedProfile as AppliedProfile,
+    ExportedPolicy as ExportedPolicy,
+    ImportedPolicy as ImportedPolicy,
+    ImportedSubject as ImportedSubject,
+    ImportRequest as ImportRequest,
+    LearnedPolicy as LearnedPolicy,
+    LoadedPolicy as LoadedPolicy,
+    PolicyDecision as PolicyDecision,
+    PolicyFormat as PolicyFormat,
+    PolicySource as PolicySource,
+    PolicyStructure as PolicyStructure,
+    PolicyType as PolicyType,
+    WrittenProfile as WrittenProfile,
+    WrittenRule as WrittenRule,
+)
 from keymint.api.profiles import (
-    AcceptedPackage as AcceptedPackage, Bootstrap as Bootstrap, ProfileType as ProfileType,
+    AcceptedPackage as AcceptedPackage,
+    Bootstrap as Bootstrap,
+    ProfileType as ProfileType,
     WorkspaceProfile as WorkspaceProfile,
-)  # fmt: skip
+)
 from keymint.api.proving import (
-    Claim as Claim, Counterexample as Counterexample, EnclaveFiles as EnclaveFiles, InstalledRights as InstalledRights,
-    Proof as Proof, ProofTask as ProofTask, Prover as Prover, SharedProofTask as SharedProofTask,
-    TrustAnchor as TrustAnchor, TrustAnchors as TrustAnchors, ValidityTerm as ValidityTerm,
-)  # fmt: skip
+    Claim as Claim,
+    Counterexample as Counterexample,
+    EnclaveFiles as EnclaveFiles,
+    InstalledRights as InstalledRights,
+    Proof as Proof,
+    ProofTask as ProofTask,
+    Prover as Prover,
+    SharedProofTask as SharedProofTask,
+    TrustAnchor as TrustAnchor,
+    TrustAnchors as TrustAnchors,
+    ValidityTerm as ValidityTerm,
+)
 from keymint.api.rights import (
-    Comparison as Comparison, ComparisonTask as ComparisonTask, DocumentComparison as DocumentComparison,
-    ExcessRights as ExcessRights, Holder as Holder, PresentableDocument as PresentableDocument,
-    Presentation as Presentation, PresentationTask as PresentationTask, Relation as Relation,
+    Comparison as Comparison,
+    ComparisonTask as ComparisonTask,
+    DocumentComparison as DocumentComparison,
+    ExcessRights as ExcessRights,
+    Holder as Holder,
+    PresentableDocument as PresentableDocument,
+    Presentation as Presentation,
+    PresentationTask as PresentationTask,
+    Relation as Relation,
     standard_claims as standard_claims,
-)  # fmt: skip
+)
 from keymint.api.transports import (
-    Availability as Availability, DiscoveredGraph as DiscoveredGraph, Endpoint as Endpoint, Environment as Environment,
-    GraphSource as GraphSource, InstalledEnclave as InstalledEnclave, Tier as Tier, Transport as Transport,
-    TransportType as TransportType, Verdict as Verdict,
-)  # fmt: skip
+    Availability as Availability,
+    DiscoveredGraph as DiscoveredGraph,
+    Endpoint as Endpoint,
+    Environment as Environment,
+    GraphSource as GraphSource,
+    InstalledEnclave as InstalledEnclave,
+    Tier as Tier,
+    Transport as Transport,
+    TransportType as TransportType,
+    Verdict as Verdict,
+)
 
 API_VERSION = "3.0"
 """Version of the plugin interface; docs/migrating-plugins.md says what changed from one major version to the next."""

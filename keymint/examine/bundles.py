@@ -12,8 +12,7 @@ from datetime import datetime
 
 from comarmor.values import Data, field
 from keymint.errors import Diagnostic, KeymintError, Origin
-from keymint.pki import certificates, examine, keys
-from keymint.pki import revocation_lists as crl
+from keymint.pki import certificates, examine, keys, revocation_lists as crl
 from keymint.robots.bundle import CERTIFICATE, KEY, Bundle, Manifest, load, number_of, revocation_lists
 from keymint.robots.robot_keystore import Present
 

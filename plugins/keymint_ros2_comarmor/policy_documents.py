@@ -21,8 +21,7 @@ from lxml import etree
 import comarmor
 from comarmor.errors import ComArmorError, Diagnostic, Origin, Spot
 from comarmor.language import formatting
-from comarmor.language.attachments import MOST_CHARACTERS
-from comarmor.language.attachments import parts as subject_parts
+from comarmor.language.attachments import MOST_CHARACTERS, parts as subject_parts
 from comarmor.language.parse import parse
 from comarmor.language.source import INCLUDE, read_document
 from comarmor.language.syntax import Attachment, Profile, ProfileRule

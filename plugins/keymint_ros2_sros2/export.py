@@ -14,8 +14,7 @@ from types import MappingProxyType
 
 from comarmor.patterns import glob
 from comarmor.patterns.expression import exact, matches
-from comarmor.patterns.glob import Glob
-from comarmor.patterns.glob import matches as matching
+from comarmor.patterns.glob import Glob, matches as matching
 from comarmor.rules import PARTS, Effect, Rule, is_subject
 from comarmor.text import lazy_regex, quote
 from comarmor.values import replace

@@ -7,8 +7,7 @@ import json
 from datetime import UTC, datetime
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from comarmor.text import did_you_mean, encodable_value, first_few, hexadecimal, nearest_word, one_line, quantity, quote
 

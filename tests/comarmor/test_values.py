@@ -12,8 +12,7 @@ from dataclasses import FrozenInstanceError, field
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from comarmor.values import Data, replace
 

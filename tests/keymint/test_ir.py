@@ -8,8 +8,7 @@ from dataclasses import replace
 from unittest import mock
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from comarmor.errors import Origin
 from comarmor.rules import Effect

@@ -7,8 +7,7 @@ from itertools import product
 from typing import TYPE_CHECKING
 
 import pytest
-from hypothesis import HealthCheck, event, example, given, reject, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, event, example, given, reject, settings, strategies as st
 from keymint_ros2_dds.vendors.participants import System, Vendor
 
 import comarmor

@@ -20,8 +20,7 @@ from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from comarmor.errors import Origin
 from keymint.life.register import loaded_register
 from keymint.pki import keys
-from keymint.robots import bundle
-from keymint.robots import certification_request as request
+from keymint.robots import bundle, certification_request as request
 from tests.effort import FULL
 
 from . import scenarios, tracing

@@ -22,8 +22,7 @@ from keymint.life.examine import RIGHTS_OUTLIVE
 from keymint.life.workspace_register import with_enclaves
 from keymint.names import subject_of
 from keymint.output.report import merged_diagnostics
-from keymint.output.sarif import of_diagnostics
-from keymint.output.sarif import sarif as sarif_log
+from keymint.output.sarif import of_diagnostics, sarif as sarif_log
 from keymint.stages.create import other_domain, policy_changed, subjects_without_package
 from keymint.stages.proof.proof_results import ProofEffort, proof_findings
 from keymint.stages.proof.prove import NO_PROVER, STAGE

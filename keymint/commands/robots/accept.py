@@ -12,8 +12,7 @@ from keymint.command_line.named_files import read_input
 from keymint.command_line.robot_options import folder_option, keystore_of, opened_store
 from keymint.command_line.verb import FILE, Report, Run, argument, flag, option, verb
 from keymint.errors import KeymintError, Origin, usage_error
-from keymint.examine.bundles import Acceptance, Owner
-from keymint.examine.bundles import accept as accepted
+from keymint.examine.bundles import Acceptance, Owner, accept as accepted
 from keymint.output.report import members
 from keymint.robots import bundle as bundles
 from keymint.robots.bundle import MAX_BYTES, Bundle

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import click
 
-from keymint.analysis.policy_diff import diff_policies as compare
-from keymint.analysis.policy_diff import has_gains
+from keymint.analysis.policy_diff import diff_policies as compare, has_gains
 from keymint.analysis.symbolic_search import STATES, QueryBudget
 from keymint.api import LoadedPolicy
 from keymint.command_line.named_policies import Policies

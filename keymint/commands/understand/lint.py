@@ -7,8 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from comarmor.text import quantity
-from keymint.analysis.lint.lint_rules import lint as look
-from keymint.analysis.lint.lint_rules import portability, sorted_diagnostics
+from keymint.analysis.lint.lint_rules import lint as look, portability, sorted_diagnostics
 from keymint.analysis.subject_patterns import pattern_examples, rules_of
 from keymint.api import BuildType
 from keymint.command_line.named_files import write_outputs
@@ -18,8 +17,7 @@ from keymint.command_line.verb import FILE, PATH, Report, Run, argument, finding
 from keymint.errors import usage_error
 from keymint.examine.nodes import NODE_NOTES, node_notes, of_policy
 from keymint.ir import SubjectRules
-from keymint.output.sarif import of_diagnostics
-from keymint.output.sarif import sarif as sarif_log
+from keymint.output.sarif import of_diagnostics, sarif as sarif_log
 
 
 @verb()

@@ -15,8 +15,7 @@ from keymint.command_line.options import Number, PolicyOptions, policy_options
 from keymint.command_line.verb import FILE, PATH, Report, Run, argument, findings_if, option, path_option, verb
 from keymint.errors import Defects, Diagnostic, KeymintError, Origin, Spot, usage_error
 from keymint.ir import Rule
-from keymint.output.junit import JUnitCase
-from keymint.output.junit import junit as junit_document
+from keymint.output.junit import JUnitCase, junit as junit_document
 
 
 @verb()

@@ -14,8 +14,7 @@ from comarmor.values import replace
 from keymint.api import Inspection
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.pki import certificates, distinguished_names, smime
-from keymint_ros2_dds import enclave_layout as layout
-from keymint_ros2_dds import governance_warnings, vendor_limits
+from keymint_ros2_dds import enclave_layout as layout, governance_warnings, vendor_limits
 from keymint_ros2_dds.decision.semantics import STANDARD
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.examine.enclave_rules import Document, EnclaveRules, SignedFact

@@ -20,8 +20,7 @@ from keymint.errors import Defects, Diagnostic, KeymintError
 from keymint.pki import certificates, keys, revocation_lists, smime
 from keymint.pki.examine import IdentityCheck, When, anchor_defects, utc_time
 from keymint.pki.smime import SignedDocument
-from keymint_ros2_dds import enclave_layout as layout
-from keymint_ros2_dds import subject_names, vendor_limits
+from keymint_ros2_dds import enclave_layout as layout, subject_names, vendor_limits
 from keymint_ros2_dds.decision.semantics import STANDARD
 from keymint_ros2_dds.domains import in_words, merged_domains, uncovered_domains
 from keymint_ros2_dds.reading import signed_governance, signed_permissions

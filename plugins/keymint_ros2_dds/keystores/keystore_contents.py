@@ -19,8 +19,7 @@ from keymint.errors import KeymintError, Origin
 from keymint.names import package_name
 from keymint.pki import certificates, extensions, keys, smime
 from keymint.pki.distinguished_names import attributes
-from keymint_ros2_dds import enclave_layout as layout
-from keymint_ros2_dds import subject_names
+from keymint_ros2_dds import enclave_layout as layout, subject_names
 from keymint_ros2_dds.reading import signed_governance, signed_permissions
 from keymint_ros2_dds.reading.signed_governance import GovernanceDocument
 from keymint_ros2_dds.reading.signed_permissions import PermissionsDocument

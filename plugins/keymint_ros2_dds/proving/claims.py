@@ -19,8 +19,7 @@ from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.domains import merged_domains
 from keymint_ros2_dds.enclave_layout import PERMISSIONS
 from keymint_ros2_dds.lowering.lowered_rules import Lowered, lower
-from keymint_ros2_dds.proving import document_lists as lists
-from keymint_ros2_dds.proving import enclave_governance, octets
+from keymint_ros2_dds.proving import document_lists as lists, enclave_governance, octets
 from keymint_ros2_dds.proving.enclave_governance import ACTIONS, EnclaveGovernance, unread_topic
 from keymint_ros2_dds.proving.grant_periods import grant_periods
 from keymint_ros2_dds.proving.questions import Counterexamples, ProofQuestion, Situation

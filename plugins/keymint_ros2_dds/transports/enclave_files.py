@@ -15,8 +15,7 @@ from keymint.api import Environment, InstalledEnclave
 from keymint.api.transports import installed_file
 from keymint.errors import KeymintError, Origin
 from keymint.pki import certificates, smime
-from keymint_ros2_dds import enclave_layout as layout
-from keymint_ros2_dds import subject_names
+from keymint_ros2_dds import enclave_layout as layout, subject_names
 from keymint_ros2_dds.lowering.name_mapping import DDS_TOPICS
 from keymint_ros2_dds.reading import signed_governance, signed_permissions
 from keymint_ros2_dds.reading.signed_governance import GovernanceDocument

@@ -7,8 +7,7 @@ import re
 from itertools import product
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from comarmor.errors import ComArmorError
 from comarmor.language import attachments

@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from comarmor.errors import ComArmorError, Origin
 from comarmor.language.policy import Policy

@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from comarmor import Attachment, Origin, Policy, Profile
 from comarmor.patterns.glob import matches, parse

@@ -8,8 +8,7 @@ import tempfile
 from pathlib import Path
 
 import xmlschema
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 import comarmor
 from comarmor import PERMISSIONS, Attachment, Effect, Origin, Policy, Profile, ProfileRule, data

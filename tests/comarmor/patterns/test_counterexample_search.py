@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from comarmor.patterns.counterexample_search import ROUNDS, CounterexampleSearch
 from comarmor.patterns.decision_lists import BudgetError, SearchBudget

@@ -6,8 +6,7 @@ from __future__ import annotations
 from collections import deque
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from comarmor.patterns.decision_lists import EVERY_WORD, FAST_PATH_STEPS, BudgetError, SearchBudget, Universe
 from comarmor.patterns.steps import step_limit

@@ -7,8 +7,7 @@ The search of a cube returns a shortest word that all positive and no excluded p
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from comarmor.patterns.decision_lists import BudgetError, SearchBudget
 from comarmor.patterns.derivatives import CubeSearch, Derivatives

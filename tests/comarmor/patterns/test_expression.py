@@ -6,8 +6,7 @@ from __future__ import annotations
 import ctypes
 
 import pytest
-from hypothesis import assume, example, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, example, given, settings, strategies as st
 
 from comarmor.errors import ComArmorError, Origin
 from comarmor.patterns import expression

@@ -9,8 +9,7 @@ import re
 from functools import cache
 
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from comarmor.patterns import glob
 from comarmor.patterns.glob import matcher, matches, parse, regex

@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from comarmor.patterns.glob import matches
 from comarmor.patterns.pattern_index import PatternIndex

@@ -7,8 +7,7 @@ import re
 from itertools import product
 
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from comarmor.patterns.glob import matches, parse
 from comarmor.patterns.possible_names import advice, matches_ros_name

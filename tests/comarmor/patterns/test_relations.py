@@ -7,8 +7,7 @@ import itertools
 from functools import lru_cache
 
 import pytest
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
+from hypothesis import example, given, settings, strategies as st
 
 from comarmor.patterns import glob
 from comarmor.patterns.glob import EVERYTHING, matches, parse

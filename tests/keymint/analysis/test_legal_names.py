@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from comarmor.errors import Origin
 from comarmor.patterns.decision_lists import Equal

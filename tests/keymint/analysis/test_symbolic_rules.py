@@ -5,8 +5,7 @@ from __future__ import annotations
 
 from itertools import product
 
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from comarmor.patterns.glob import Glob, literal, matches, parse, units
 from comarmor.patterns.tokens import STAR, Charset, Star

@@ -7,8 +7,7 @@ import json
 
 import jsonschema
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from comarmor.rules import KIND_OF
 from keymint.api.graph import Edge, Graph, Object

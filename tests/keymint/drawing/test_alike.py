@@ -7,8 +7,7 @@ import itertools
 from collections import Counter
 from dataclasses import replace
 
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from keymint.api.graph import Edge, Object
 from keymint.drawing.alike import fold_alike

@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import itertools
 
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from keymint.drawing.appearance import columns
 from keymint.drawing.labelled_graph import LabelledGraph

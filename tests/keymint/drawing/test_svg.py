@@ -7,8 +7,7 @@ import re
 from collections import Counter
 from dataclasses import replace
 
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from lxml import etree
 
 from keymint.api.graph import MISMATCHES, Object

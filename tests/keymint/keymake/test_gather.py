@@ -6,8 +6,7 @@ from __future__ import annotations
 from itertools import combinations, product
 from unittest import mock
 
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from keymint.keymake import gather as module
 from keymint.keymake.gather import Pattern, gather, similar

@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import re
 
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from comarmor.errors import Origin
 from comarmor.patterns.glob import parse

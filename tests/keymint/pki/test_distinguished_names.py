@@ -7,8 +7,7 @@ from contextlib import suppress
 
 import pytest
 from cryptography import x509
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from comarmor.errors import Origin
 from keymint.errors import KeymintError

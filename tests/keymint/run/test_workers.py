@@ -18,8 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from keymint.run.execution import MIN_PACKAGES, PackedChanges
 from keymint.store.changes import File, FolderChange

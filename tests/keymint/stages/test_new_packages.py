@@ -23,8 +23,7 @@ from keymint.pki import keys
 from keymint.stages.create import CreateStage
 from keymint.stages.enclave_forms import EnclaveForm
 from keymint.stages.work import Forms, NewPackage, NewPackages, PackagePlan
-from keymint.view.stamps import Stamp, State
-from keymint.view.stamps import load as load_record
+from keymint.view.stamps import Stamp, State, load as load_record
 from tests.conftest import Outcome, snapshot
 from tests.effort import tries
 from tests.keymint.stages.keystores import another_key

@@ -9,8 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from comarmor.errors import Origin, Reason
 from keymint.api import Availability, InstalledEnclave, PolicyDecision, Tier, Verdict

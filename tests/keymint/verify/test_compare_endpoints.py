@@ -9,8 +9,7 @@ from itertools import chain
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from keymint_ros2_comarmor import policy_type
 from keymint_ros2_dds import build_type
 

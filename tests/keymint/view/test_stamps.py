@@ -6,8 +6,7 @@ from __future__ import annotations
 from hashlib import sha256
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from keymint.view.stamps import VERSION, Stamp, State, digest, digest_files, load, sealed_document
 

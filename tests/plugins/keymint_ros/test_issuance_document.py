@@ -8,8 +8,7 @@ from datetime import UTC, datetime, timedelta, timezone
 
 import pytest
 from cryptography.hazmat.primitives.asymmetric import ec
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from keymint_ros import package_type
 from keymint_ros2_dds import subject_names
 from keymint_ros2_dds.subject_names import subject_name_of

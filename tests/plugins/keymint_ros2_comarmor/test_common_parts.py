@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from keymint_ros2_comarmor.policy_documents import share, templates
 
 SUBJECTS = ["/a", "/b", "/ns/a", "/ns/b"]

@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from keymint_ros2_comarmor.policy_documents import fold, literal, needs_of, templates
 
 from comarmor.language.attachments import expand, for_parts, parse, parts

@@ -6,8 +6,7 @@ from __future__ import annotations
 import itertools
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from keymint_ros2_dds.domains import MAX_DOMAIN, check_domains, in_words, merged_domains, uncovered_domains
 
 from keymint.api import DomainRange

@@ -8,8 +8,7 @@ import subprocess
 from dataclasses import replace
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from keymint_ros2_dds import build_type, enclave_proof
 from keymint_ros2_dds.decision import semantics
 from keymint_ros2_dds.lowering.lowered_rules import lower

@@ -7,8 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from keymint_ros2_dds import subject_names
 from keymint_ros2_dds.decision.semantics import VARIATIONS, Variation
 from keymint_ros2_dds.emit import kind_members

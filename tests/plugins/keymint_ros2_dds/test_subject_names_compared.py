@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import assume, example, given
-from hypothesis import strategies as st
+from hypothesis import assume, example, given, strategies as st
 from keymint_ros2_dds.decision.semantics import FASTDDS_2_9, FASTDDS_3_3, VARIATIONS
 from keymint_ros2_dds.subject_names import (
     is_odd,

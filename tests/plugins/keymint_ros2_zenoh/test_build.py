@@ -9,8 +9,7 @@ from dataclasses import replace
 from types import ModuleType
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from keymint_ros2_zenoh.build import build, build_shared
 from keymint_ros2_zenoh.documents.configuration import Configuration, Flow, Message, Permission
 from keymint_ros2_zenoh.documents.configuration_reader import read

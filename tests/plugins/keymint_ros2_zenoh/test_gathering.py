@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from keymint_ros2_zenoh.documents.configuration import AclRule, Flow, Message, Permission
 from keymint_ros2_zenoh.keyexpr import KeyExpr, canonical, includes, parse
 from keymint_ros2_zenoh.lowering.key_rules import combined_rules

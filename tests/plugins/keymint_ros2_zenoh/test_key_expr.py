@@ -7,8 +7,7 @@ import random
 from types import ModuleType
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from keymint_ros2_zenoh.keyexpr import KeyExprError, canonical, parse
 
 from tests.effort import tries

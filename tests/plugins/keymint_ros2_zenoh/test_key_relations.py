@@ -9,8 +9,7 @@ from collections import Counter
 from types import ModuleType
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from keymint_ros2_zenoh.keyexpr import KeyExpr, canonical, includes, intersects, parse
 
 from tests.effort import tries

@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from keymint_ros2_zenoh.decision import AccessModel, Link
 from keymint_ros2_zenoh.documents.configuration import (
     AccessControl,

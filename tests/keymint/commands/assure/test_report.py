@@ -18,8 +18,7 @@ import pytest
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, smime
 from tests.conftest import CHECKOUT, NOW, Outcome
-from tests.keymint.examine.test_not_examined import document as asked_by_auditor
-from tests.keymint.examine.test_not_examined import give
+from tests.keymint.examine.test_not_examined import document as asked_by_auditor, give
 from tests.real.signed_readers import Libcrypto
 
 DAY = 24 * 3600

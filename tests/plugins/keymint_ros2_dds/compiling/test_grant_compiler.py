@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import itertools
 
-from hypothesis import event, example, given, settings
-from hypothesis import strategies as st
+from hypothesis import event, example, given, settings, strategies as st
 from keymint_ros2_dds import build_type
 
 from comarmor.errors import Severity

@@ -10,8 +10,7 @@ from collections.abc import Iterator
 from unittest import mock
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from keymint_ros2_dds import build_type
 from keymint_ros2_dds.compiling import grant_compiler, rewriting
 from keymint_ros2_dds.compiling.rewriting import GUARD, gathered_rules

@@ -6,8 +6,7 @@ from __future__ import annotations
 import itertools
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from keymint_ros2_dds.compiling.rule_order import denied_partitions, merged_rules, rule_groups
 from keymint_ros2_dds.lowering.lowered_rules import DEFAULT, EVERY, GrantRule
 from keymint_ros2_dds.lowering.name_mapping import TopicAction

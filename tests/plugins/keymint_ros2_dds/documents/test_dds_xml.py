@@ -8,8 +8,7 @@ from unittest import mock
 
 import pytest
 import xmlschema
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from keymint_ros2_dds import build_type
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.emit import kind_members

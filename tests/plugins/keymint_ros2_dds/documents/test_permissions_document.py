@@ -6,8 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 from unittest import mock
 
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from keymint_ros2_dds import build_type
 from keymint_ros2_dds.documents import dds_xml, permissions_document
 from keymint_ros2_dds.lowering.lowered_rules import DEFAULT, GrantRule

@@ -7,8 +7,7 @@ from dataclasses import replace
 from unittest import mock
 
 import pytest
-from hypothesis import event, given, settings
-from hypothesis import strategies as st
+from hypothesis import event, given, settings, strategies as st
 from keymint_ros2_dds import build_type
 from keymint_ros2_dds.compiling import rewriting
 from keymint_ros2_dds.emit import emission

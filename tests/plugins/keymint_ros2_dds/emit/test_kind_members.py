@@ -13,8 +13,7 @@ from pathlib import Path
 from unittest import mock
 
 import pytest
-from hypothesis import event, given, settings
-from hypothesis import strategies as st
+from hypothesis import event, given, settings, strategies as st
 from keymint_ros2_dds import build_type
 from keymint_ros2_dds.documents import dds_xml, permissions_document
 from keymint_ros2_dds.emit import emission, kind_members

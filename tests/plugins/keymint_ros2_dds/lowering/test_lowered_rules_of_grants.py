@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import re
 
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from keymint_ros2_dds.lowering.lowered_rules import is_name
 from keymint_ros2_dds.reading import dialects
 

@@ -6,8 +6,7 @@ from __future__ import annotations
 import itertools
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from keymint_ros2_dds import build_type
 from keymint_ros2_dds.lowering import name_mapping
 from keymint_ros2_dds.lowering.endpoints import endpoints, meanings

@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from keymint_ros2_dds.lowering.lowered_rules import lower
 from keymint_ros2_dds.lowering.name_mapping import DDS_TOPICS, TopicAction, in_ros
 

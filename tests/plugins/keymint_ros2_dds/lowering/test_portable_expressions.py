@@ -8,8 +8,7 @@ import ctypes.util
 import re
 
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 from keymint_ros2_dds.lowering.portable_expressions import (
     MAX_ALTERNATIVES,
     NotPortableError,

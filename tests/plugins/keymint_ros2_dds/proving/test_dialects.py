@@ -6,8 +6,7 @@ from __future__ import annotations
 import re
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from keymint_ros2_dds.proving.octets import read
 from keymint_ros2_dds.reading import dialects
 

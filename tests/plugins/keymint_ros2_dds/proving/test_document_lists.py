@@ -8,8 +8,7 @@ import itertools
 import re
 
 import pytest
-from hypothesis import assume, example, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, example, given, settings, strategies as st
 from keymint_ros2_dds.decision.evaluator import DocumentEvaluator
 from keymint_ros2_dds.decision.semantics import VARIATIONS
 from keymint_ros2_dds.lowering.lowered_rules import lower

@@ -11,8 +11,7 @@ from keymint_ros2_dds import build_type
 
 from keymint.api import BuildOptions, DomainRange, Proof
 from tests.plugins.keymint_ros2_dds.enclaves import installed
-from tests.plugins.keymint_ros2_dds.packages import domain_rule, package, protection, rule
-from tests.plugins.keymint_ros2_dds.packages import governed as with_governance
+from tests.plugins.keymint_ros2_dds.packages import domain_rule, governed as with_governance, package, protection, rule
 from tests.plugins.keymint_ros2_dds.test_enclave_proof import MODELS, PLAIN, claims, refuted, sign
 
 READ, WRITE = "enable_read_access_control", "enable_write_access_control"

@@ -6,8 +6,7 @@ from __future__ import annotations
 from datetime import UTC, datetime, timedelta
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from keymint_ros2_dds import enclave_proof
 from keymint_ros2_dds.decision.evaluator import DocumentEvaluator
 from keymint_ros2_dds.decision.semantics import VARIATIONS

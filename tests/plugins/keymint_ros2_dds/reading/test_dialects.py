@@ -7,8 +7,7 @@ import ctypes
 import re
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from keymint_ros2_dds.reading import dialects
 from keymint_ros2_dds.vendors import probe_builds
 

@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from keymint_ros2_dds.reading import dialects
 from keymint_ros2_dds.reading.dialects import PLAIN, REFUSES, UNMODELLED
 from lxml import etree

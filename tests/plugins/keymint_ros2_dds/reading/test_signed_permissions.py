@@ -7,8 +7,7 @@ from dataclasses import replace
 from unittest import mock
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from keymint_ros2_dds.documents import dds_xml, permissions_document
 from keymint_ros2_dds.lowering.lowered_rules import DEFAULT, EVERY, GrantRule
 from keymint_ros2_dds.lowering.name_mapping import TopicAction

@@ -6,8 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from keymint_ros2_dds.vendors.advisories import ADVISORIES, advisories, affects, installed_vendors, number
 
 VERSIONS = st.tuples(st.integers(0, 12), st.integers(0, 16), st.integers(0, 14)).map(

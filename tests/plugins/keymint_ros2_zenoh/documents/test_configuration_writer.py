@@ -8,8 +8,7 @@ from dataclasses import replace
 from types import ModuleType
 from typing import Any
 
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from keymint_ros2_zenoh.documents.configuration import (
     AccessControl,
     AclPolicy,

@@ -7,8 +7,7 @@ import re
 from itertools import product
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from keymint_ros2_zenoh.keyexpr import KeyExpr, canonical, includes, parse
 from keymint_ros2_zenoh.proving.key_search import Automaton, Side, difference, side_of
 

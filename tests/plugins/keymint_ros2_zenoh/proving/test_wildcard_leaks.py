@@ -6,8 +6,7 @@ from __future__ import annotations
 from itertools import product
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from keymint_ros2_zenoh.keyexpr import KeyExpr, KeyExprError, canonical, includes, intersects, parse
 from keymint_ros2_zenoh.proving.shared_proof import Leak, Rights, leaks, wider
 
