@@ -170,15 +170,12 @@ _COMMENTS = lazy_regex(rb"(\A|<[^<>!?][^<>]*>)(\s*(?:<!--(?:[^-]|-[^-])*-->\s*)+
 _ATTRIBUTES = lazy_regex(rb"\s(?:xmlns:xsi|xsi:noNamespaceSchemaLocation)\s*=\s*(?:\"[^\"<&]*\"|'[^'<&]*')")
 """Attributes that every vendor ignores."""
 _MARKUP = (
-    (
-        b"<", lazy_regex(rb"<[!?]"),
-        "a comment in a text, a CDATA section or a processing instruction", UNMODELLED, UNMODELLED,
-    ),
-    (b"&", lazy_regex(rb"&(?!(?:lt|gt|amp|apos|quot);)"), "a character reference", UNMODELLED, UNMODELLED),
-    (b"\0", lazy_regex(rb"\0"), "text of two bytes a character", UNMODELLED, UNMODELLED),
-    (b"=", lazy_regex(rb"(?:xmlns|xsi:)[^<>=]*="), "an attribute about namespaces", UNMODELLED, PLAIN),
-    (b"</", lazy_regex(rb"</[^<>\s]*\s"), "white space in an end tag", REFUSES, PLAIN),
-)  # fmt: skip
+    (lazy_regex(rb"<[!?]"), "a comment in a text, a CDATA section or a processing instruction", UNMODELLED, UNMODELLED),
+    (lazy_regex(rb"&(?!(?:lt|gt|amp|apos|quot);)"), "a character reference", UNMODELLED, UNMODELLED),
+    (lazy_regex(rb"\0"), "text of two bytes a character", UNMODELLED, UNMODELLED),
+    (lazy_regex(rb"(?:xmlns|xsi:)[^<>=]*="), "an attribute about namespaces", UNMODELLED, PLAIN),
+    (lazy_regex(rb"</[^<>\s]*\s"), "white space in an end tag", REFUSES, PLAIN),
+)
 _PLAIN_NUMBER = lazy_regex(r"0|[1-9][0-9]{0,8}")
 
 
@@ -204,8 +201,9 @@ def quirks_of_bytes(content: bytes, *, comments_until: int | None = None) -> Ite
     if b"<!--" in rest:
         rest = _COMMENTS.sub(lambda match: match[1] + _line_ends(match[2]), rest[:end]) + rest[end:]
     rest = _ATTRIBUTES.sub(lambda match: _line_ends(match[0]), rest)
-    for part, expression, text, cyclone, fast in _MARKUP:
-        if part in rest and (match := expression.search(rest)):
+    for expression, text, cyclone, fast in _MARKUP:
+        match = expression.search(rest)
+        if match is not None:
             yield Quirk(rest.count(b"\n", 0, match.start()) + 1, text, cyclone, fast)
             if cyclone is fast is UNMODELLED:
                 return  # what follows may be part of a comment
