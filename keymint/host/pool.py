@@ -34,6 +34,9 @@ class Forked:
     Args:
         work: what it does: it is given a pipe that :meth:`tell` writes to, and one to :func:`send` answers.
         others: processes that were forked before: it must not hold their pipes, or they would not see this one's end.
+
+    Raises:
+        OSError: the system has no room for another process, as in a container with few.
     """
 
     def __init__(self, work: Callable[[int, BinaryIO], object], others: Iterable[Forked] = ()) -> None:
@@ -41,7 +44,13 @@ class Forked:
         answers, sent = os.pipe()
         self._answers = os.fdopen(answers, "rb")
         with held_signals():  # the process keeps them blocked
-            self.pid = os.fork()
+            try:
+                self.pid = os.fork()
+            except OSError:
+                self._close()
+                os.close(told)
+                os.close(sent)
+                raise
             if not self.pid:
                 try:
                     gc.freeze()  # a search for cycles among the parent's objects would copy their pages
@@ -124,9 +133,10 @@ class Pool:
         os.close(given)
         others: list[Forked] = []
         try:
-            for _ in range(count - 1):
-                # A forked process has the tasks already: they need not be sent to it.
-                others.append(Forked(partial(_answer, work, tasks, left), others))
+            with contextlib.suppress(OSError):  # then this process and those that are there do all
+                for _ in range(count - 1):
+                    # A forked process has the tasks already: they need not be sent to it.
+                    others.append(Forked(partial(_answer, work, tasks, left), others))
             found = _results(work, tasks, left, [len(tasks) - 1])
             for each in others:
                 found |= each.receive()

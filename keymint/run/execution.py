@@ -115,8 +115,12 @@ class Workers(Crew):
             for _ in planned_apart(session, names[:FIRST], stages, self.new):
                 pass
         _trim(len(names))  # the processes inherit what the parsed policy took and is free
-        for part in parts[1:]:
-            self._processes.append(_fork(partial(_work, (session, part, stages, self.new)), self._processes))
+        try:
+            for part in parts[1:]:
+                self._processes.append(_fork(partial(_work, (session, part, stages, self.new)), self._processes))
+        except OSError:  # the system has no room for another process
+            self.give_up()
+            return
         self._sources = [partial(self._own.pop, 0), *(each.receive for each in self._processes)]
         with _refusing(self._own.append):
             for planned in planned_apart(session, parts[0], stages, self.new):

@@ -123,3 +123,15 @@ except KeymintError as error:
     print(error, error.exit_code.name, error.diagnostics[0].code)
 """)
     assert done.stdout == "0\n1\npolicy.xml:7: wrong 2 (mend it) FINDINGS a-code\n", done.stderr
+
+
+def test_a_system_with_no_room_for_another_process() -> None:
+    done = run("""
+def refuse():
+    raise BlockingIOError(11, "Resource temporarily unavailable")
+os.fork = refuse
+opened = len(os.listdir("/proc/self/fd"))
+assert list(pool.map(lambda task: task + os.getpid() - here, range(6))) == [0, 1, 2, 3, 4, 5]
+assert len(os.listdir("/proc/self/fd")) == opened
+""")
+    assert (done.returncode, done.stderr) == (0, "")

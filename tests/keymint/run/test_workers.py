@@ -72,6 +72,22 @@ NewPackages.planned = ended
 sys.exit(main(sys.argv[1:]))
 """
 
+NO_ROOM = """
+import os, sys
+fork = os.fork
+def first_only():
+    global fork
+    now, fork = fork, None
+    if now is None:
+        raise BlockingIOError(11, "Resource temporarily unavailable")
+    return now()
+os.fork = first_only
+from keymint.run import execution
+from keymint.cli import main
+execution.MIN_PACKAGES = 10
+sys.exit(main(sys.argv[1:]))
+"""
+
 
 def policy(path: Path, size: int = FEW, *, folder: str = "", extra: str = "") -> Path:
     """Write a policy; every seventh subject has a wildcard."""
@@ -121,6 +137,13 @@ def test_any_number_of_processes_gives_the_same(
     before = snapshot(tmp_path / "ws2")
     assert "nothing to do" in run(tmp_path, "provision", source, "-w", "ws2", "-j", 2).out
     assert snapshot(tmp_path / "ws2") == before
+
+
+def test_a_system_with_no_room_for_another_process(keymint: Keymint, tmp_path: Path) -> None:
+    source = policy(tmp_path / "policy.xml")
+    done = run(tmp_path, "provision", source, "-w", "ws", "-j", 3, program=NO_ROOM)
+    assert done.code == 0, done.err
+    assert keymint("check", "-w", "ws").code == 0
 
 
 def test_each_stage_by_itself(keymint: Keymint, tmp_path: Path) -> None:
