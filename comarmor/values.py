@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 import operator
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import MISSING, Field, field
 from functools import cache, partial
 from types import MemberDescriptorType
@@ -81,7 +81,8 @@ else:
         cls = type(given)
         if _DECLARED not in vars(cls):
             return dataclasses.replace(given, **changes)
-        return cls(**{name: getattr(given, name) for name in _given(cls)[0] if name not in changes}, **changes)
+        values = [changes.pop(name) if name in changes else getattr(given, name) for name in _given(cls)[0]]
+        return cls(*values, **changes)
 
 
 @cache
@@ -168,22 +169,26 @@ def _first_init(cls: Any) -> Callable[..., None]:
     parameters, defaults, factories = _given(cls)
     known = frozenset(parameters)
     all_names = known | defaults.keys() | factories.keys()
+    least, last = len(parameters) - len(defaults), tuple(defaults.values())
+    is_simple = not factories and parameters[least:] == list(defaults)
     assign, has_post_init, left = object.__setattr__, hasattr(cls, "__post_init__"), _FEW
 
     def __init__(self: Any, /, *arguments: Any, **named: Any) -> None:  # noqa: N807
         nonlocal left
         left -= 1
-        given = dict(zip(parameters, arguments, strict=False), **named) if arguments else named
-        values = defaults | given
-        for name, new in factories.items():
-            if name not in given:
-                values[name] = new()
-        is_sound = len(given) == len(arguments) + len(named) and given.keys() <= known and len(values) == len(all_names)
+        values: Iterable[tuple[str, Any]]
+        if is_sound := is_simple and not named and least <= len(arguments) <= len(parameters):  # most calls
+            values = zip(parameters, arguments + last[len(arguments) - least :], strict=True)
+        else:
+            given = dict(zip(parameters, arguments, strict=False), **named)
+            made = {name: new() for name, new in factories.items() if name not in given}
+            values = (every := defaults | made | given).items()
+            is_sound = len(given) == len(arguments) + len(named) and given.keys() <= known and every.keys() == all_names
         if left < 0 or not is_sound:  # the generated method says what is wrong
             cls.__init__ = _init(cls)
             cls.__init__(self, *arguments, **named)
             return
-        for name, value in values.items():
+        for name, value in values:
             assign(self, name, value)
         if has_post_init:
             self.__post_init__()
