@@ -16,9 +16,9 @@ from keymint.analysis.lint.lint_rules import lint
 from keymint.analysis.policy_diff import diff_policies
 from keymint.analysis.subject_patterns import rules_of
 from keymint.api import BuildOptions, LoadedPolicy, PolicySource
-from keymint.api.plugin_loader import Plugins
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
+from tests.conftest import installed_plugins
 
 COMPILE = 17_000_000
 """Most steps of compiling a subject: two orders of its rules, the proofs of its document, and a small margin."""
@@ -53,7 +53,7 @@ class Sweep:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        plugins = Plugins()
+        plugins = installed_plugins()
         self._policies = plugins.policy_type("keymint_ros2_comarmor")
         self._compiler = plugins.build_type("keymint_ros2_dds")
         self.tally = Tally()

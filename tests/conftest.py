@@ -19,8 +19,9 @@ import hypothesis
 import pytest
 
 from keymint import cli
-from keymint.api import plugin_loader
-from keymint.api.plugin_loader import PluginInfo
+from keymint.api import Environment, plugin_loader
+from keymint.api.plugin_loader import PluginInfo, Plugins, entries_in
+from keymint.view.recorded_answers import software_metadata
 from tests import advice
 from tests.effort import tries
 from tests.softhsm import SoftHsm, opened
@@ -130,6 +131,11 @@ def read_once() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(plugin_loader, "entries_of", entries_of)
         yield
+
+
+def installed_plugins(environment: Environment | None = None) -> Plugins:
+    """Return the plugins of the environment that runs the tests."""
+    return Plugins(entries_in(software_metadata()), environment)
 
 
 def file_status(path: str) -> tuple[int, int, int] | None:

@@ -7,7 +7,6 @@ import contextlib
 import functools
 import importlib.util
 import json
-import os
 import re
 import shlex
 import sys
@@ -113,11 +112,8 @@ def entries_of(metadata: str) -> Iterator[PluginInfo]:
     Args:
         metadata: its folder of metadata; if that is damaged, it must not hide a plugin.
     """
-    file = f"{metadata}/entry_points.txt"
-    if not os.path.lexists(file):  # as most have none, the cheapest question
-        return
     try:
-        with FileIO(file) as opened:
+        with FileIO(f"{metadata}/entry_points.txt") as opened:
             content = opened.readall()
         if b"[keymint." not in content:
             return
@@ -147,37 +143,34 @@ def _headers(metadata: str) -> tuple[str, str]:
     return found["Name"], found["Version"]
 
 
-def _installed() -> Iterator[PluginInfo]:
-    """Yield the entry points of our groups; a distribution that is twice on ``sys.path`` counts once."""
+def entries_in(metadata: Iterable[str]) -> Iterator[PluginInfo]:
+    """Yield the entry points of our groups; a distribution that is installed twice counts once.
+
+    Args:
+        metadata: the folders of metadata, that of what is imported first.
+    """
     seen: set[str] = set()
-    for folder in sys.path:
-        try:
-            names = sorted(os.listdir(folder or "."))  # noqa: PTH208 - the path is a text
-        except OSError:
-            continue
-        for name in names:
-            if name.endswith((".dist-info", ".egg-info")):
-                found = tuple(entries_of(f"{folder or '.'}/{name}"))
-                identity = re.sub(r"[-_.]+", "-", found[0].distribution).lower() if found else ""
-                if identity not in seen or not identity:
-                    yield from found
-                seen.add(identity)
+    for found in filter(None, map(tuple, map(entries_of, metadata))):
+        identity = re.sub(r"[-_.]+", "-", found[0].distribution).lower()
+        if identity not in seen or not identity:
+            yield from found
+        seen.add(identity)
 
 
 class Plugins:
     """The installed plugins; each is loaded on first use.
 
     Args:
-        entries: the entry points to use; by default those of the environment.
+        entries: the entry points to use, e.g. :func:`entries_in` what is installed.
         environment: what transports are opened with; without it there are none to ask for.
     """
 
-    def __init__(self, entries: Iterable[PluginInfo] | None = None, environment: Environment | None = None) -> None:
+    def __init__(self, entries: Iterable[PluginInfo], environment: Environment | None = None) -> None:
         self._environment = environment
         self._transports: dict[str, Transport] = {}
         self._entries: dict[str, dict[str, list[PluginInfo]]] = {}
         self._loaded: dict[tuple[str, str], object] = {}
-        for entry in _installed() if entries is None else entries:
+        for entry in entries:
             versions = self._entries.setdefault(entry.group, {}).setdefault(entry.name, [])
             # The same distribution seen twice on sys.path is one plugin, two distributions are two.
             if all(_brought_by(entry) != _brought_by(other) for other in versions):

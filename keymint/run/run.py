@@ -17,7 +17,7 @@ from comarmor.text import lazy_regex
 from comarmor.values import Data, field, replace
 from keymint import SPACES
 from keymint.api import Environment, lazy
-from keymint.api.plugin_loader import Plugins
+from keymint.api.plugin_loader import Plugins, entries_in
 from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin, Severity, UnconfirmedError, citation
 from keymint.host.streams_and_signals import StoppedError, received_signal
 from keymint.output.console import Console, Streams
@@ -120,7 +120,8 @@ class Run:
         self._agrees = None if options["quiet"] or options["as_json"] else setting.agrees
         self._agreed: set[Diagnostic] = set()
         """What the user agreed to; a plan may be made twice."""
-        self.plugins = Plugins(environment=Environment(setting.now, setting.cache, setting.environment))
+        environment = Environment(setting.now, setting.cache, setting.environment)
+        self.plugins = Plugins(entries_in(setting.call.registrations), environment)
         self.crew = Workers(self.jobs if "jobs" in options else 1, setting.monotonic)
         """Who plans packages for the conductor of the stages."""
         self._named: Path | None = options.get("workspace")

@@ -24,6 +24,7 @@ import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from datetime import datetime
+from functools import cached_property
 from itertools import takewhile
 from operator import attrgetter
 from typing import Any, NamedTuple
@@ -56,7 +57,7 @@ _WHOLE = "provision"
 _STATUS = attrgetter("st_mode", "st_uid", "st_gid", "st_size", "st_mtime_ns", "st_ctime_ns", "st_ino", "st_dev")
 
 
-class Call(Data):
+class Call(Data, slots=False):
     """A command, and where it is given.
 
     Attributes:
@@ -80,6 +81,11 @@ class Call(Data):
     width: int | None = None
     variables: Sequence[tuple[str, str]] = ()
     user_defaults: str = ""
+
+    @cached_property
+    def registrations(self) -> Mapping[str, str]:
+        """What :func:`software_metadata` returns when it is first asked for: the software that a run has."""
+        return software_metadata()
 
 
 class Answer(Data):
@@ -296,21 +302,24 @@ def _identity(call: Call, root: str, variables: Iterable[str]) -> str:
     user = os.geteuid(), os.getegid(), sorted(os.getgroups())
     shown = call.colours, call.width, call.variables, call.user_defaults
     command = list(call.arguments), call.cwd, shown, root, values, user
-    return hashlib.sha256(repr((command, __version__, sys.version, list(_installed()))).encode()).hexdigest()
+    software = __version__, sys.version, {folder: _status(folder or ".") for folder in sys.path}, call.registrations
+    return hashlib.sha256(repr((command, software)).encode()).hexdigest()
 
 
-def _installed() -> Iterator[str]:
-    """Yield the status of everything that may register a plugin."""
+def software_metadata() -> Mapping[str, str]:
+    """Return the folder of metadata of each distribution that may register plugins, and the status of its files."""
+    found: dict[str, str] = {}
     for folder in sys.path:
-        yield f"{folder} {_status(folder or '.')}"
         try:
-            names = os.listdir(folder or ".")  # noqa: PTH208 - the path is a text
+            names = sorted(os.listdir(folder or "."))  # noqa: PTH208 - the path is a text
         except OSError:
             continue
         for name in names:
             if name.endswith((".dist-info", ".egg-info")):
-                registers = _status(f"{folder}/{name}/entry_points.txt")  # as most have none, the first question
-                yield registers and f"{name} {registers} {_status(f'{folder}/{name}/METADATA')}"
+                metadata = f"{folder or '.'}/{name}"
+                if registers := _status(f"{metadata}/entry_points.txt"):  # as most have none, the first question
+                    found[metadata] = f"{registers} {_status(f'{metadata}/METADATA')}"
+    return found
 
 
 def _status(path: str) -> str:

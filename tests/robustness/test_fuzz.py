@@ -22,7 +22,6 @@ import pytest
 import comarmor
 from comarmor.errors import Diagnostic
 from keymint.api import BuildOptions, LoadedPolicy
-from keymint.api.plugin_loader import Plugins
 from keymint.authority.authorities import plan_authorities
 from keymint.errors import KeymintError
 from keymint.pki.tokens.token_sessions import Tokens
@@ -36,6 +35,7 @@ from keymint.view.tree import Tree
 from keymint.workspace.policy_loading import load_policy
 from keymint.workspace.session import Inputs
 from keymint.workspace.workspace import Workspace
+from tests.conftest import installed_plugins
 from tests.effort import tries
 
 from . import mutation
@@ -189,7 +189,7 @@ def _loaded(policy: Path) -> str:
 
 def test_all_stages_plan_with_a_mutated_document_or_reject_it(workspace: Path) -> None:
     at = Workspace.at(workspace, {}, workspace.parent)
-    plugins = Plugins()
+    plugins = installed_plugins()
     documents = {
         path: path.read_bytes()
         for space in (at.profile, at.src / "r1" / "talker", at.build / "r1" / "talker")

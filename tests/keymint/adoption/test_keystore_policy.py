@@ -16,11 +16,11 @@ from comarmor.errors import Diagnostic, Severity
 from keymint.adoption.keystore_files import found_in
 from keymint.adoption.keystore_policy import Learning, learned_from
 from keymint.api import DocumentComparison, FoundKeystore, KeystoreFiles, Relation
-from keymint.api.plugin_loader import Plugins
 from keymint.errors import KeymintError
 from keymint.examine.adopted_documents import unclear_rights
 from keymint.stages.proof.proof_results import ProofEffort
 from tests import sros2_keystore
+from tests.conftest import installed_plugins
 
 POLICY = """<policy version="0.2.0"><enclaves><enclave path="/a"><profiles><profile ns="/" node="a">
 <topics publish="ALLOW"><topic>x</topic></topics></profile></profiles></enclave></enclaves></policy>"""
@@ -31,7 +31,7 @@ LEARNING = Learning(build_type.keystores, "keymint_ros2_comarmor", "jazzy", "p.x
 @pytest.fixture
 def keystore(tmp_path: Path) -> tuple[KeystoreFiles, FoundKeystore]:
     sros2_keystore.make(tmp_path / "ks", POLICY)
-    _, _, files, found = found_in(Plugins(), tmp_path / "ks", "ks", datetime(2026, 6, 1, tzinfo=UTC))
+    _, _, files, found = found_in(installed_plugins(), tmp_path / "ks", "ks", datetime(2026, 6, 1, tzinfo=UTC))
     return files, found
 
 
@@ -62,7 +62,7 @@ class Comparer:
 
 def learned(keystore: tuple[KeystoreFiles, FoundKeystore], plugins: object = None, reader: object = None) -> Any:
     learning = replace(LEARNING, reader=reader) if reader else LEARNING
-    return learned_from(plugins or Plugins(), *keystore, learning, unclear_rights(keystore[1]))
+    return learned_from(plugins or installed_plugins(), *keystore, learning, unclear_rights(keystore[1]))
 
 
 def test_what_is_learned(keystore) -> None:

@@ -16,6 +16,7 @@ from keymint.api import API_VERSION, BuildOptions, BuildResult, ExportedPolicy, 
 from keymint.api.plugin_loader import GROUPS, PluginInfo, Plugins, entries_of
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
+from tests.conftest import installed_plugins
 from tests.keymint.plain_build_type import PlainBuildType
 
 GROUP = "keymint.build_types"
@@ -192,10 +193,10 @@ def test_an_installed_distribution_that_is_damaged_is_no_matter(
     distribution(tmp_path, "dist", {"mine": f"{module.__name__}:good"})
     damage(tmp_path / "dist-1.2.dist-info" / "METADATA", content)
     monkeypatch.syspath_prepend(str(tmp_path))
-    assert Plugins().build_type("mine") is module.good
+    assert installed_plugins().build_type("mine") is module.good
     # The same folder twice on the path is one plugin, whether or not its distribution says a name.
     monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
-    assert Plugins().build_type("mine") is module.good
+    assert installed_plugins().build_type("mine") is module.good
 
 
 @pytest.mark.parametrize("content", [b"\xff\xfe", b"mine = x:y\n", b"[keymint.build_types]\nmine\n"])
@@ -206,11 +207,11 @@ def test_entry_points_that_cannot_be_read_hide_nobody_else(
         distribution(tmp_path, name, {"of-" + name: f"{module.__name__}:good"})
     (tmp_path / "a-1.2.dist-info" / "entry_points.txt").write_bytes(content)
     monkeypatch.syspath_prepend(str(tmp_path))
-    assert Plugins().build_type("of-b") is module.good
+    assert installed_plugins().build_type("of-b") is module.good
 
 
 def test_the_shipped_plugins_are_found_in_the_environment() -> None:
-    plugins = Plugins()
+    plugins = installed_plugins()
     found = {(info.group, info.name) for info in plugins.infos if info.distribution == "keymint-tools"}
     if not found:
         pytest.skip("keymint-tools is not installed in this environment")

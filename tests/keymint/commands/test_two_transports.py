@@ -11,6 +11,7 @@ import pytest
 from lxml import etree
 
 from keymint.api import plugin_loader
+from keymint.run import run
 from tests.keymint import board
 
 DDS = ("-i", "omg")
@@ -21,8 +22,7 @@ RIGHTS = "install/board/rights.txt"
 @pytest.fixture
 def two(keymint: Callable, policy: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """A workspace whose talker has DDS and the board, and whose listener has DDS."""
-    installed = tuple(plugin_loader._installed())
-    monkeypatch.setattr(plugin_loader, "_installed", lambda: (*installed, *board.ENTRIES))
+    monkeypatch.setattr(run, "entries_in", lambda metadata: (*plugin_loader.entries_in(metadata), *board.ENTRIES))
     made = keymint("provision", policy, "-w", "ws", "--transport", "dds", "--transport", "board", "--no-prove")
     assert made.code == 0, made.err
     manifest = tmp_path / "ws/src/robot1/listener/keymint_package.xml"

@@ -17,6 +17,7 @@ from typing import Any
 
 import pytest
 
+from keymint.run import execution
 from keymint.view import recorded_answers
 from tests.conftest import CHECKOUT, NOW, Outcome, snapshot
 
@@ -252,6 +253,30 @@ def test_what_does_something_each_time_is_always_carried_out(keymint, recalled: 
         for _ in range(3):
             keymint("provision", policy, "-w", "ws", option)
     assert not any(recalled)
+
+
+@pytest.mark.parametrize("meanwhile", [False, True], ids=["after it", "while it is carried out"])
+def test_a_command_is_carried_out_again_if_a_plugin_is_installed(
+    keymint, recalled: list[bool], just_provisioned: Path, monkeypatch: pytest.MonkeyPatch, *, meanwhile: bool
+) -> None:
+    metadata = just_provisioned.parent / "software/new-1.dist-info"
+    metadata.mkdir(parents=True)
+    monkeypatch.syspath_prepend(metadata.parent)
+    before = execution.record
+
+    def install(*arguments: Any) -> bytes | None:
+        (metadata / "entry_points.txt").write_text("[keymint.policy_formats]\nnew = nowhere:nothing\n")
+        return before(*arguments) if arguments else None
+
+    settle()
+    if meanwhile:
+        monkeypatch.setattr(execution, "record", install)
+    for expected in (False, not meanwhile):
+        keymint("build", cwd=just_provisioned)
+        assert recalled[-1] == expected
+    install()
+    keymint("build", cwd=just_provisioned)
+    assert not recalled[-1]
 
 
 def test_a_command_is_carried_out_once_a_certificate_expired(keymint, recalled: list[bool], policy: Path) -> None:

@@ -7,13 +7,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from keymint.api import Environment
-from keymint.api.plugin_loader import Plugins
 from keymint.pki.tokens.token_sessions import Tokens
 from keymint.view.stamps import load
 from keymint.view.tree import Tree
 from keymint.workspace.session import Inputs, Session
 from keymint.workspace.workspace import Workspace
-from tests.conftest import NOW
+from tests.conftest import NOW, installed_plugins
 
 
 def session_of(root: Path, now: float = NOW) -> Session:
@@ -21,5 +20,5 @@ def session_of(root: Path, now: float = NOW) -> Session:
     workspace, clock = Workspace.at(root, {}, root.parent), datetime.fromtimestamp(now, UTC)
     record = workspace.state / "state.json"
     state = load(record.read_bytes() if record.exists() else None)
-    plugins = Plugins(environment=Environment(clock, root.parent))
+    plugins = installed_plugins(Environment(clock, root.parent))
     return Inputs(workspace, Tree(), state, plugins, {}, clock, lambda: Tokens({})).session()

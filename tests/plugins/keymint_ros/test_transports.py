@@ -15,7 +15,7 @@ from lxml import etree
 
 from comarmor.data import locate
 from keymint.api import Package, Role
-from keymint.api.plugin_loader import Plugins
+from tests.conftest import installed_plugins
 
 from .workspaces import REQUEST, ROOT, Workspace, diagnostic_of, load_package
 
@@ -36,7 +36,7 @@ def package(*build_types: str) -> Package:
 def router(*build_types: str) -> Package:
     """Load the package of the router."""
     profile = profile_type.load(ROOT, files_for(*build_types))
-    (needed,) = Plugins().build_type(ZENOH).packages(profile)
+    (needed,) = installed_plugins().build_type(ZENOH).packages(profile)
     files = package_type.create_infrastructure(profile, needed, ZENOH, {})
     return load_package(profile, needed, f"src/{needed}", files)
 

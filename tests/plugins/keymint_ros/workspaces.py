@@ -14,9 +14,9 @@ from keymint_ros import package_type, profile_type
 from comarmor.errors import Diagnostic, Origin
 from comarmor.rules import Effect
 from keymint.api import Bootstrap, Package, WorkspaceProfile
-from keymint.api.plugin_loader import Plugins
 from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules
+from tests.conftest import installed_plugins
 
 NOW = datetime(2026, 11, 21, 15, 30, tzinfo=UTC)
 ROOT = Path("/ws/profile")
@@ -104,7 +104,7 @@ class Workspace:
 
 def load_package(profile: WorkspaceProfile, name: str, folder: str, files: Mapping[str, bytes]) -> Package:
     """Load a package with the installed build types."""
-    return package_type.load(profile, name, folder, files, Plugins().build_type, "/ws/install")
+    return package_type.load(profile, name, folder, files, installed_plugins().build_type, "/ws/install")
 
 
 def diagnostic_of(attempt: Callable[[], object], file: str) -> Diagnostic:

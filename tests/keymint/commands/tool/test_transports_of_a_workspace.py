@@ -12,6 +12,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 from lxml import etree
 
 from keymint.api import plugin_loader
+from keymint.run import run
 from tests.conftest import snapshot
 from tests.keymint import lighthouse
 from tests.keymint.lighthouse import TOWER
@@ -23,8 +24,7 @@ BOTH = ("--transport", "dds", *LIGHT)
 @pytest.fixture(autouse=True)
 def installed(monkeypatch: pytest.MonkeyPatch) -> None:
     """A second transport is installed."""
-    entries = tuple(plugin_loader._installed())
-    monkeypatch.setattr(plugin_loader, "_installed", lambda: (*entries, *lighthouse.ENTRIES))
+    monkeypatch.setattr(run, "entries_in", lambda metadata: (*plugin_loader.entries_in(metadata), *lighthouse.ENTRIES))
 
 
 def build_types(manifest: Path) -> list[str]:

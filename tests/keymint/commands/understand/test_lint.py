@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from keymint.api import plugin_loader
+from keymint.run import run
 from tests.conftest import CHECKOUT
 from tests.keymint import lighthouse
 from tests.keymint.plain_build_type import PlainBuildType
@@ -124,8 +125,7 @@ def test_a_name_that_nothing_has_is_said_once(keymint, tmp_path: Path) -> None:
 @pytest.fixture
 def lit(monkeypatch: pytest.MonkeyPatch) -> None:
     """A second transport is installed, which carries topics only."""
-    entries = tuple(plugin_loader._installed())
-    monkeypatch.setattr(plugin_loader, "_installed", lambda: (*entries, *lighthouse.ENTRIES))
+    monkeypatch.setattr(run, "entries_in", lambda metadata: (*plugin_loader.entries_in(metadata), *lighthouse.ENTRIES))
 
 
 @pytest.mark.usefixtures("lit")
