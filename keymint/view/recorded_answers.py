@@ -231,7 +231,9 @@ def record(
         answer: what the same command will print.
     """
     state = f"{root}/{_RECORDS}/{_RECORD}"
-    spaces = tuple(f"{os.path.realpath(space)}/" for space in sight.roots)
+    operands = (argument for argument in call.arguments if not argument.startswith("-"))
+    real = {path: _real(call, path) for path in (*operands, *sight.roots)}
+    spaces = tuple(f"{real[space]}/" for space in sight.roots)
     elsewhere = (path for path in seen if not os.path.realpath(path).startswith(spaces))
     # A profile would make a folder between the root and the current directory a workspace.
     below = _upward(call.cwd if f"{call.cwd}/".startswith(f"{root}/") else "")
@@ -246,7 +248,6 @@ def record(
         or not all(_has_content(path, fingerprint) for path, fingerprint in seen.items())
     ):
         return None
-    operands = [argument for argument in call.arguments if not argument.startswith("-")]
     with open(state, "rb") as opened:  # noqa: PTH123 - the path is a text
         found = {b"".join(each.groups()) for each in _DATE.finditer(opened.readline())}  # no other line has dates
     recorded = (datetime.fromisoformat(text.decode()) for text in found)
@@ -261,7 +262,7 @@ def record(
             "variables": sorted(call.environment.names),
             "from": call.now,
             "until": min(ends, default=_ALWAYS),
-            "real": {path: _real(call, path) for path in (*operands, *sight.roots)},
+            "real": real,
             "status": {state: own[0]} | {path: status for path, (status, _) in others.items()},
             "spaces": sight.roots,
             **asdict(answer),
