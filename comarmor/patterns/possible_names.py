@@ -12,8 +12,7 @@ from functools import lru_cache
 
 from comarmor.patterns.glob import Glob, parse
 from comarmor.patterns.tokens import PatternError, Star
-from comarmor.rules import RAW_PREFIXES
-from comarmor.text import lazy_regex
+from comarmor.rules import RAW_PREFIXES, is_fully_qualified
 
 _START, _SLASH, _SEGMENT = 1, 2, 4
 """The previous character: none, a ``/``, or one of a segment; as bits, for a set of these. A name ends in a segment."""
@@ -21,7 +20,6 @@ _DIGITS = "0123456789"
 _LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz_"
 _SLASH_AFTER, _LETTER_AFTER, _DIGIT_AFTER = _START | _SEGMENT, _SLASH | _SEGMENT, _SEGMENT
 """After which characters a ``/``, a letter and a digit may follow."""
-_NAME_SO_FAR = lazy_regex(r"(?:/[A-Za-z_][A-Za-z0-9_]*)*(/)?")
 
 
 @lru_cache(maxsize=1 << 14)
@@ -39,8 +37,8 @@ def matches_ros_name(pattern: Glob) -> bool:
 
 
 def _after_text(previous: int, text: str) -> int:
-    if previous == _START and (name := _NAME_SO_FAR.fullmatch(text)):
-        return _SLASH if name[1] else _SEGMENT if text else _START
+    if previous == _START and is_fully_qualified(text.removesuffix("/")):
+        return _SLASH if text.endswith("/") else _SEGMENT
     for char in text:
         previous = _after(previous, char == "/", char in _LETTERS, char in _DIGITS)
     return previous
