@@ -135,7 +135,7 @@ def read_once() -> Iterator[None]:
 
 def installed_plugins(environment: Environment | None = None) -> Plugins:
     """Return the plugins of the environment that runs the tests."""
-    return Plugins(entries_in(software_metadata()), environment)
+    return Plugins(entries_in(software_metadata()), environment and (lambda: environment))
 
 
 def file_status(path: str) -> tuple[int, int, int] | None:

@@ -14,18 +14,8 @@ from functools import partial
 from pathlib import Path
 
 from comarmor.values import Data, replace
+from keymint import api
 from keymint.adoption.keystore_policy import AdoptedPolicy
-from keymint.api import (
-    AdoptedSources,
-    Bootstrap,
-    BuildOptions,
-    DomainRange,
-    FoundKeystore,
-    Issuance,
-    KeystoreFile,
-    KeystoreFiles,
-    KeystoreReader,
-)
 from keymint.authority.authority_changes import GivenAuthority, plan_import
 from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.ir import SubjectRules
@@ -56,12 +46,12 @@ class Adoption(Data):
         request: the new profile.
     """
 
-    reader: KeystoreReader
-    files: KeystoreFiles
-    found: FoundKeystore
+    reader: api.KeystoreReader
+    files: api.KeystoreFiles
+    found: api.FoundKeystore
     policy: AdoptedPolicy
     profile_type: str
-    request: Bootstrap
+    request: api.Bootstrap
 
 
 def plan_adoption(inputs: Inputs, adoption: Adoption, crew: Crew) -> Plan:
@@ -93,7 +83,7 @@ def plan_adoption(inputs: Inputs, adoption: Adoption, crew: Crew) -> Plan:
         work = work.then(planned(work.session, adoption))
     request = Request(
         [package_name(each.subject) for each in adoption.found.enclaves],
-        options=InstallRequest(prove=False, build=BuildOptions()),
+        options=InstallRequest(prove=False, build=api.BuildOptions()),
         follow=False,
         late=True,
         adopts=True,
@@ -112,7 +102,7 @@ def plan_adoption(inputs: Inputs, adoption: Adoption, crew: Crew) -> Plan:
 def _sources(session: Session, adoption: Adoption) -> Plan:
     """Plan the source package and the private key of each enclave."""
     package_type = session.package_type
-    own_domain = (DomainRange(adoption.request.domain, adoption.request.domain),)
+    own_domain = (api.DomainRange(adoption.request.domain, adoption.request.domain),)
     steps = []
     for enclave in adoption.found.enclaves:
         name = package_name(enclave.subject)
@@ -123,7 +113,7 @@ def _sources(session: Session, adoption: Adoption) -> Plan:
                 where=Origin(f"{adoption.files.folder}/{enclave.facts['place']}"),
                 help="'keymint adopt' without --apply says what is wrong", code="adopt-incomplete",
             )  # fmt: skip
-        sources = AdoptedSources(
+        sources = api.AdoptedSources(
             rules=adoption.policy.rules.get(enclave.subject, SubjectRules(enclave.subject, ())),
             subject_name="" if adoption.found.subject_format else enclave.subject_name,
             validity=validity,
@@ -134,7 +124,7 @@ def _sources(session: Session, adoption: Adoption) -> Plan:
         )
         certificate = certificates.load(enclave.certificate)
         public = b"" if enclave.key else keys.public_to_pem(certificates.public_key(certificate))
-        decided = Issuance(
+        decided = api.Issuance(
             public_key=public,
             certificate=certificates.to_pem(certificate),
             exposed=certificates.fingerprint(certificate) if enclave.exposed else "",
@@ -190,7 +180,7 @@ def _register(session: Session, adoption: Adoption) -> Plan:
     return Plan((), session.state, first=register_change(session, complete_register(session, lossy=True)))
 
 
-def _is_secret(file: KeystoreFile) -> bool:
+def _is_secret(file: api.KeystoreFile) -> bool:
     """Tell whether a file has a private key, or may have one in a form that is not read: its owner hides it."""
     try:
         is_text = "\0" not in file.content.decode()

@@ -22,10 +22,10 @@ from __future__ import annotations
 
 from functools import cache
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from comarmor.rules import Expectation as Expectation
-from keymint.api.build_types import BuildType as BuildType, NameMapping as NameMapping
+from keymint.api.build_types import BuildType as BuildType, NameMapping as NameMapping, Presentation as Presentation
 from keymint.api.building import (
     Artifact as Artifact,
     AuthorityRole as AuthorityRole,
@@ -38,17 +38,6 @@ from keymint.api.building import (
     Inspection as Inspection,
     Layout as Layout,
     SigningAuthority as SigningAuthority,
-)
-from keymint.api.foreign_keystores import (
-    AdoptedSources as AdoptedSources,
-    FoundAuthority as FoundAuthority,
-    FoundEnclave as FoundEnclave,
-    FoundGrant as FoundGrant,
-    FoundKeystore as FoundKeystore,
-    GrantedRules as GrantedRules,
-    KeystoreFile as KeystoreFile,
-    KeystoreFiles as KeystoreFiles,
-    KeystoreReader as KeystoreReader,
 )
 from keymint.api.package_types import PackageType as PackageType
 from keymint.api.packages import (
@@ -93,6 +82,7 @@ from keymint.api.profiles import (
 )
 from keymint.api.proving import (
     Claim as Claim,
+    ComparisonTask as ComparisonTask,
     Counterexample as Counterexample,
     EnclaveFiles as EnclaveFiles,
     InstalledRights as InstalledRights,
@@ -104,33 +94,54 @@ from keymint.api.proving import (
     TrustAnchors as TrustAnchors,
     ValidityTerm as ValidityTerm,
 )
-from keymint.api.rights import (
-    Comparison as Comparison,
-    ComparisonTask as ComparisonTask,
-    DocumentComparison as DocumentComparison,
-    ExcessRights as ExcessRights,
-    Holder as Holder,
-    PresentableDocument as PresentableDocument,
-    Presentation as Presentation,
-    PresentationTask as PresentationTask,
-    Relation as Relation,
-    standard_claims as standard_claims,
-)
-from keymint.api.transports import (
-    Availability as Availability,
-    DiscoveredGraph as DiscoveredGraph,
-    Endpoint as Endpoint,
-    Environment as Environment,
-    GraphSource as GraphSource,
-    InstalledEnclave as InstalledEnclave,
-    Tier as Tier,
-    Transport as Transport,
-    TransportType as TransportType,
-    Verdict as Verdict,
-)
+
+if TYPE_CHECKING:
+    from keymint.api.foreign_keystores import (
+        AdoptedSources as AdoptedSources,
+        FoundAuthority as FoundAuthority,
+        FoundEnclave as FoundEnclave,
+        FoundGrant as FoundGrant,
+        FoundKeystore as FoundKeystore,
+        GrantedRules as GrantedRules,
+        KeystoreFile as KeystoreFile,
+        KeystoreFiles as KeystoreFiles,
+        KeystoreReader as KeystoreReader,
+    )
+    from keymint.api.rights import (
+        Comparison as Comparison,
+        DocumentComparison as DocumentComparison,
+        ExcessRights as ExcessRights,
+        Holder as Holder,
+        PresentableDocument as PresentableDocument,
+        PresentationTask as PresentationTask,
+        Relation as Relation,
+        standard_claims as standard_claims,
+    )
+    from keymint.api.transports import (
+        Availability as Availability,
+        DiscoveredGraph as DiscoveredGraph,
+        Endpoint as Endpoint,
+        Environment as Environment,
+        GraphSource as GraphSource,
+        InstalledEnclave as InstalledEnclave,
+        Tier as Tier,
+        Transport as Transport,
+        TransportType as TransportType,
+        Verdict as Verdict,
+    )
 
 API_VERSION = "3.0"
 """Version of the plugin interface; docs/migrating-plugins.md says what changed from one major version to the next."""
+_LATER = {
+    "foreign_keystores": "AdoptedSources FoundAuthority FoundEnclave FoundGrant FoundKeystore GrantedRules KeystoreFile"
+    " KeystoreFiles KeystoreReader",
+    "rights": "Comparison DocumentComparison ExcessRights Holder PresentableDocument PresentationTask Relation"
+    " standard_claims",
+    "transports": "Availability DiscoveredGraph Endpoint Environment GraphSource InstalledEnclave Tier Transport"
+    " TransportType Verdict",
+}
+"""What loads at first use, by module: most runs neither adopt a keystore nor ask a transport."""
+_MODULE_OF = {name: f"keymint.api.{module}" for module, names in _LATER.items() for name in names.split()}
 _module = cache(import_module)
 
 
@@ -146,3 +157,15 @@ def lazy(target: str) -> Any:
         return getattr(_module(module), name)(*arguments, **options)
 
     return staticmethod(call)
+
+
+if not TYPE_CHECKING:  # a name that does not exist is an error of types
+
+    def __getattr__(name: str) -> Any:
+        """Load a name from the module that defines it (PEP 562)."""
+        if name not in _MODULE_OF:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return getattr(_module(_MODULE_OF[name]), name)
+
+    def __dir__() -> list[str]:
+        return [*globals(), *_MODULE_OF]

@@ -6,6 +6,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from datetime import datetime
+from typing import TYPE_CHECKING
 
 from keymint.api.building import (
     Artifact,
@@ -18,15 +20,17 @@ from keymint.api.building import (
     Inspection,
     Layout,
 )
-from keymint.api.foreign_keystores import KeystoreReader
 from keymint.api.graph import Edge
 from keymint.api.packages import Package, PackageSettings, PackageSources
 from keymint.api.profiles import WorkspaceProfile
 from keymint.api.proving import Claim, Prover, SharedProofTask
-from keymint.api.rights import Presentation
-from keymint.api.transports import Endpoint, InstalledEnclave
 from keymint.errors import Diagnostic
 from keymint.ir import SubjectRules
+
+if TYPE_CHECKING:
+    from keymint.api.foreign_keystores import KeystoreReader
+    from keymint.api.rights import DocumentComparison, ExcessRights, PresentationTask
+    from keymint.api.transports import Endpoint, InstalledEnclave
 
 
 class NameMapping(ABC):
@@ -50,6 +54,46 @@ class NameMapping(ABC):
     @abstractmethod
     def document_topics(self, enclave: InstalledEnclave) -> Sequence[tuple[str, Sequence[str]]]:
         """Return the topic expressions in the signed documents of an enclave, each with its partitions."""
+
+
+class Presentation(ABC):
+    """What is known about signed documents that the enclaves of a build type present to each other."""
+
+    FILE: str
+    """Name of the file of an enclave that they present."""
+
+    @abstractmethod
+    def presented_until(self, content: bytes) -> datetime | None:
+        """Return the end of the rights that a signed document grants, UTC; None if it grants none to anybody.
+
+        Args:
+            content: what is signed.
+        """
+
+    @abstractmethod
+    def choosers(self) -> Sequence[str]:
+        """Return the models that choose the rights in a document, each by its own comparison of names."""
+
+    @abstractmethod
+    def trusting_any_signer(self) -> Sequence[str]:
+        """Return the models that take a document whose signer the right authority certified as anybody at all."""
+
+    @abstractmethod
+    def excess(self, task: PresentationTask) -> Sequence[ExcessRights]:
+        """Return every holder and document by which an implementation permits more than the policy."""
+
+    @abstractmethod
+    def compared_with(self, content: bytes, name: str, package: Package) -> DocumentComparison:
+        """Compare a signed document, as the transport's standard reads it, with the rules of a package.
+
+        Args:
+            content: what is signed.
+            name: distinguished name of the certificate that it is presented with; see :attr:`keymint.api.Holder.name`.
+            package: the package.
+
+        Raises:
+            KeymintError: a rule cannot be mapped. A document that cannot be read is ``unknown``.
+        """
 
 
 class BuildType(ABC):

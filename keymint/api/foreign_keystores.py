@@ -11,7 +11,8 @@ from typing import Any
 from comarmor.values import Data, field
 from keymint.api.packages import DomainRange, KeySpec, Package, Validity
 from keymint.api.policies import ImportedSubject
-from keymint.api.rights import Comparison, ComparisonTask, DocumentComparison
+from keymint.api.proving import ComparisonTask
+from keymint.api.rights import Comparison, DocumentComparison
 from keymint.errors import Diagnostic
 from keymint.ir import SubjectRules
 

@@ -7,13 +7,16 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
+from typing import TYPE_CHECKING
 
 from keymint.api.build_types import BuildType
-from keymint.api.foreign_keystores import AdoptedSources
 from keymint.api.packages import Issuance, Package, Role
 from keymint.api.profiles import WorkspaceProfile
 from keymint.errors import Diagnostic, Origin
 from keymint.ir import SubjectRules
+
+if TYPE_CHECKING:
+    from keymint.api.foreign_keystores import AdoptedSources
 
 
 class PackageType(ABC):

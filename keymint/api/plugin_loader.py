@@ -10,7 +10,7 @@ import json
 import re
 import shlex
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
 from io import FileIO
 from pathlib import Path
@@ -18,31 +18,21 @@ from typing import Any, cast
 
 from comarmor.text import did_you_mean
 from comarmor.values import Data
-from keymint.api import (
-    API_VERSION,
-    BuildType,
-    Environment,
-    GraphSource,
-    PackageType,
-    PolicyFormat,
-    PolicyType,
-    ProfileType,
-    Transport,
-    TransportType,
-)
+from keymint import api
+from keymint.api import API_VERSION, BuildType, PackageType, PolicyFormat, PolicyType, ProfileType
 from keymint.errors import ExitCode, KeymintError, Origin
 
 _OURS = "keymint-tools"
-GROUPS: Mapping[str, type] = {
-    "keymint.profile_types": ProfileType,
-    "keymint.package_types": PackageType,
-    "keymint.policy_types": PolicyType,
-    "keymint.build_types": BuildType,
-    "keymint.transports": TransportType,
-    "keymint.graph_sources": GraphSource,
-    "keymint.policy_formats": PolicyFormat,
+GROUPS: Mapping[str, str] = {
+    "keymint.profile_types": "ProfileType",
+    "keymint.package_types": "PackageType",
+    "keymint.policy_types": "PolicyType",
+    "keymint.build_types": "BuildType",
+    "keymint.transports": "TransportType",
+    "keymint.graph_sources": "GraphSource",
+    "keymint.policy_formats": "PolicyFormat",
 }
-"""The entry-point groups, each with the class that its plugins are of."""
+"""The entry-point groups, each with the class in :mod:`keymint.api` that its plugins are of."""
 
 
 class PluginInfo(Data):
@@ -162,12 +152,12 @@ class Plugins:
 
     Args:
         entries: the entry points to use, e.g. :func:`entries_in` what is installed.
-        environment: what transports are opened with; without it there are none to ask for.
+        environment: returns what transports are opened with; without it there are none to ask for.
     """
 
-    def __init__(self, entries: Iterable[PluginInfo], environment: Environment | None = None) -> None:
-        self._environment = environment
-        self._transports: dict[str, Transport] = {}
+    def __init__(self, entries: Iterable[PluginInfo], environment: Callable[[], api.Environment] | None = None) -> None:
+        self._environment = environment and functools.cache(environment)
+        self._transports: dict[str, api.Transport] = {}
         self._entries: dict[str, dict[str, list[PluginInfo]]] = {}
         self._loaded: dict[tuple[str, str], object] = {}
         for entry in entries:
@@ -218,22 +208,22 @@ class Plugins:
         """Return the build type of this name; see :meth:`load`."""
         return cast("BuildType", self.load("keymint.build_types", name, where))
 
-    def transport(self, name: str) -> Transport:
+    def transport(self, name: str) -> api.Transport:
         """Return the transport of this name, opened once in the environment; see :meth:`load`."""
         if name not in self._transports:
             if self._environment is None:
                 raise ValueError("transports are opened in environment")
-            opener = cast("TransportType", self.load("keymint.transports", name))
-            self._transports[name] = opener.open(self._environment)
+            opener = cast("api.TransportType", self.load("keymint.transports", name))
+            self._transports[name] = opener.open(self._environment())
         return self._transports[name]
 
-    def transports(self) -> Mapping[str, Transport]:
+    def transports(self) -> Mapping[str, api.Transport]:
         """Return all transports by name, sorted; see :meth:`transport`."""
         return {name: self.transport(name) for name in self.names("keymint.transports")}
 
     def read_by(self, transport: str) -> str:
         """Return the name of the build type whose files a transport reads; see :meth:`load`."""
-        return cast("TransportType", self.load("keymint.transports", transport)).BUILD_TYPE
+        return cast("api.TransportType", self.load("keymint.transports", transport)).BUILD_TYPE
 
     def transports_of(self, build_type: str, distro: str = "") -> Sequence[str]:
         """Return the names of the transports that read what a build type builds, sorted.
@@ -247,9 +237,9 @@ class Plugins:
         named = (name for name in self.names("keymint.transports") if name not in others)
         return [name for name in named if self.read_by(name) == build_type]
 
-    def graph_source(self, name: str) -> GraphSource:
+    def graph_source(self, name: str) -> api.GraphSource:
         """Return the graph source of this name; see :meth:`load`."""
-        return cast("GraphSource", self.load("keymint.graph_sources", name))
+        return cast("api.GraphSource", self.load("keymint.graph_sources", name))
 
     def policy_format(self, name: str) -> PolicyFormat:
         """Return the policy format of this name; see :meth:`load`."""
@@ -285,7 +275,7 @@ class Plugins:
         except Exception as error:
             defect = f"({entry.target}) fails to load: {type(error).__name__}: {error}"
             raise refusal(defect, f"reinstall {_source(entry)}", "plugin-broken") from error
-        version, base = getattr(plugin, "API", None), GROUPS[group]
+        version, base = getattr(plugin, "API", None), getattr(api, GROUPS[group])
         defect = ""
         if not isinstance(version, str) or version.partition(".")[0] != API_VERSION.partition(".")[0]:
             defect = f"implements version {version!r} of the plugin interface, this Keymint needs {API_VERSION!r}"

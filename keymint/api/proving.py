@@ -8,14 +8,17 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from enum import StrEnum
+from typing import TYPE_CHECKING
 
 from comarmor.values import Data, field
 from keymint.api.graph import Edge
 from keymint.api.packages import DomainRange, Package
 from keymint.api.policies import PolicyDecision
-from keymint.api.transports import Endpoint, Verdict
 from keymint.errors import Diagnostic, Origin
 from keymint.ir import Rule, SubjectRules
+
+if TYPE_CHECKING:
+    from keymint.api.transports import Endpoint, Verdict
 
 
 class TrustAnchor(Data):
@@ -119,6 +122,32 @@ class SharedProofTask(Data):
     states: int
     go_on: Callable[[], bool]
     unsigned: bool = False
+
+
+class ComparisonTask(Data):
+    """A document to compare with rules.
+
+    Attributes:
+        document: the document, unsigned; its signature was verified.
+        file: its file, for places.
+        offset: number of lines before it in that file, e.g. the header of a signed one.
+        subject_name: distinguished name of the identity, in the order of RFC 2253, e.g. ``CN=/talker,OU=0f``.
+        rules: the rules of the subject.
+        distro: ROS 2 distribution whose name mapping applies.
+        domains: the domains in which the rules apply; elsewhere nothing is allowed.
+        states: the most states that the search for one answer may visit.
+        go_on: polled; the search ends when it returns False.
+    """
+
+    document: bytes = field(repr=False)
+    file: str
+    offset: int
+    subject_name: str
+    rules: SubjectRules
+    distro: str
+    domains: tuple[DomainRange, ...]
+    states: int
+    go_on: Callable[[], bool]
 
 
 class Proof(StrEnum):

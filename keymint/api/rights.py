@@ -3,13 +3,12 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from datetime import datetime
 from enum import StrEnum
 
 from comarmor.values import Data, field
-from keymint.api.packages import DomainRange, Package
+from keymint.api.packages import DomainRange
 from keymint.api.proving import Claim, Counterexample
 from keymint.errors import Diagnostic, Origin
 from keymint.ir import SubjectRules
@@ -27,32 +26,6 @@ class Relation(StrEnum):
     WIDER = "wider"
     DIFFERENT = "different"
     UNKNOWN = "unknown"
-
-
-class ComparisonTask(Data):
-    """A document to compare with rules.
-
-    Attributes:
-        document: the document, unsigned; its signature was verified.
-        file: its file, for places.
-        offset: number of lines before it in that file, e.g. the header of a signed one.
-        subject_name: distinguished name of the identity, in the order of RFC 2253, e.g. ``CN=/talker,OU=0f``.
-        rules: the rules of the subject.
-        distro: ROS 2 distribution whose name mapping applies.
-        domains: the domains in which the rules apply; elsewhere nothing is allowed.
-        states: the most states that the search for one answer may visit.
-        go_on: polled; the search ends when it returns False.
-    """
-
-    document: bytes = field(repr=False)
-    file: str
-    offset: int
-    subject_name: str
-    rules: SubjectRules
-    distro: str
-    domains: tuple[DomainRange, ...]
-    states: int
-    go_on: Callable[[], bool]
 
 
 class DocumentComparison(Data):
@@ -163,43 +136,3 @@ class ExcessRights(Data):
     document: PresentableDocument
     claims: tuple[Claim, ...]
     until: datetime
-
-
-class Presentation(ABC):
-    """What is known about signed documents that the enclaves of a build type present to each other."""
-
-    FILE: str
-    """Name of the file of an enclave that they present."""
-
-    @abstractmethod
-    def presented_until(self, content: bytes) -> datetime | None:
-        """Return the end of the rights that a signed document grants, UTC; None if it grants none to anybody.
-
-        Args:
-            content: what is signed.
-        """
-
-    @abstractmethod
-    def choosers(self) -> Sequence[str]:
-        """Return the models that choose the rights in a document, each by its own comparison of names."""
-
-    @abstractmethod
-    def trusting_any_signer(self) -> Sequence[str]:
-        """Return the models that take a document whose signer the right authority certified as anybody at all."""
-
-    @abstractmethod
-    def excess(self, task: PresentationTask) -> Sequence[ExcessRights]:
-        """Return every holder and document by which an implementation permits more than the policy."""
-
-    @abstractmethod
-    def compared_with(self, content: bytes, name: str, package: Package) -> DocumentComparison:
-        """Compare a signed document, as the transport's standard reads it, with the rules of a package.
-
-        Args:
-            content: what is signed.
-            name: distinguished name of the certificate that it is presented with; see :attr:`keymint.api.Holder.name`.
-            package: the package.
-
-        Raises:
-            KeymintError: a rule cannot be mapped. A document that cannot be read is ``unknown``.
-        """

@@ -35,7 +35,7 @@ import click
 from comarmor.rules import PERMISSIONS, RAW_PREFIXES
 from comarmor.text import lazy_regex
 from comarmor.values import Data
-from keymint.api import GraphSource
+from keymint import api
 from keymint.api.plugin_loader import Plugins
 from keymint.command_line import named_packages
 from keymint.command_line.verb import FILE, argument, flag, option, option_group, option_texts, path_option, plugin
@@ -271,7 +271,7 @@ bundle_output_option = path_option("-o", metavar="PATH", help=_TEXTS.get("bundle
 # -- graphs of systems -------------------------------------------------------------------------------------------------
 
 
-def graph_source(plugins: Plugins, name: str | None, option: str) -> GraphSource:
+def graph_source(plugins: Plugins, name: str | None, option: str) -> api.GraphSource:
     """Return the graph source of a name; without a name the only installed one.
 
     Args:

@@ -14,7 +14,8 @@ from datetime import datetime
 from itertools import chain
 
 from comarmor.values import replace
-from keymint.api import BuildType, Counterexample, DocumentComparison, Package
+from keymint import api
+from keymint.api import BuildType, Counterexample, Package
 from keymint.authority.authority_files import authority_keys
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.life.terms import iso_time
@@ -101,7 +102,7 @@ def replaced_rights(
 
 def _compared(
     build_type: BuildType, package: Package, before: Mapping[str, bytes], after: Mapping[str, bytes], certificate: bytes
-) -> tuple[DocumentComparison, datetime] | None:
+) -> tuple[api.DocumentComparison, datetime] | None:
     """Return how an earlier document compares with the rules of a package, and its end; None if it gives no rights.
 
     Also None if the new document is the same.

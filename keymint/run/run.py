@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from comarmor.text import lazy_regex
 from comarmor.values import Data, field, replace
-from keymint import SPACES
-from keymint.api import Environment, lazy
+from keymint import SPACES, api
 from keymint.api.plugin_loader import Plugins, entries_in
 from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin, Severity, UnconfirmedError, citation
 from keymint.host.streams_and_signals import StoppedError, received_signal
@@ -39,8 +38,8 @@ if TYPE_CHECKING:
     from keymint.host.pool import Pool
     from keymint.pki.tokens.token_sessions import Tokens
 
-_pool = lazy("keymint.host.pool:Pool")  # few runs divide work so
-_tokens = lazy("keymint.pki.tokens.token_sessions:Tokens")  # and few have a key in a token
+_pool = api.lazy("keymint.host.pool:Pool")  # few runs divide work so
+_tokens = api.lazy("keymint.pki.tokens.token_sessions:Tokens")  # and few have a key in a token
 
 
 class Setting(Data):
@@ -120,8 +119,10 @@ class Run:
         self._agrees = None if options["quiet"] or options["as_json"] else setting.agrees
         self._agreed: set[Diagnostic] = set()
         """What the user agreed to; a plan may be made twice."""
-        environment = Environment(setting.now, setting.cache, setting.environment)
-        self.plugins = Plugins(entries_in(setting.call.registrations), environment)
+        self.plugins = Plugins(
+            entries_in(setting.call.registrations),
+            lambda: api.Environment(setting.now, setting.cache, setting.environment),
+        )
         self.crew = Workers(self.jobs if "jobs" in options else 1, setting.monotonic)
         """Who plans packages for the conductor of the stages."""
         self._named: Path | None = options.get("workspace")

@@ -12,18 +12,7 @@ from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Self, TypeVar
 
 from comarmor.text import did_you_mean
 from comarmor.values import Data, field, replace
-from keymint import __version__
-from keymint.api import (
-    BuildType,
-    Issuance,
-    Layout,
-    Package,
-    PackageType,
-    PolicyType,
-    ProfileType,
-    Role,
-    WorkspaceProfile,
-)
+from keymint import __version__, api
 from keymint.api.plugin_loader import Plugins
 from keymint.errors import KeymintError, Origin
 from keymint.names import ROOT
@@ -129,7 +118,7 @@ class Inputs(Data):
         help_ = "'keymint plugins' lists the installed plugins"
         raise KeymintError(message, where=self.profile_marker(), help=help_, code="profile-unknown")
 
-    def _installed_distro(self, profile: WorkspaceProfile) -> str:
+    def _installed_distro(self, profile: api.WorkspaceProfile) -> str:
         """Return the distribution that installed documents tell, or an empty text."""
         own = (self.plugins.build_type(name, self.profile_marker()) for name in profile.build_types)
         paths = [path for path, _ in self.tree.walk(self.workspace.install)]
@@ -146,10 +135,10 @@ class Session(Inputs, Data):
         vendors_of: the ROS 2 distribution for whose vendors claims are made, if that is not the profile's.
     """
 
-    profile: WorkspaceProfile
+    profile: api.WorkspaceProfile
     profile_digest: str
     vendors_of: str = ""
-    _packages: dict[tuple[str, str, bool], Package] = field(default_factory=dict, repr=False, compare=False)
+    _packages: dict[tuple[str, str, bool], api.Package] = field(default_factory=dict, repr=False, compare=False)
     _made_of_sources: dict[tuple[Any, ...], Any] = field(default_factory=dict, repr=False, compare=False)
     _made: dict[tuple[Any, ...], Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
@@ -179,7 +168,7 @@ class Session(Inputs, Data):
         return value
 
     @property
-    def layouts(self) -> tuple[Layout, ...]:
+    def layouts(self) -> tuple[api.Layout, ...]:
         """The layout of the install space, as each build type of new packages defines it; at least one.
 
         Raises:
@@ -208,23 +197,23 @@ class Session(Inputs, Data):
         return str(self.enclaves) if name == ROOT else f"{self.enclaves}/{name}"
 
     @property
-    def profile_type(self) -> ProfileType:
+    def profile_type(self) -> api.ProfileType:
         """The type of the profile."""
         return self.plugins.profile_type(self.profile.profile_type)
 
     @property
-    def policy_type(self) -> PolicyType:
+    def policy_type(self) -> api.PolicyType:
         """The type of the policy; errors as :meth:`keymint.api.plugin_loader.Plugins.policy_type`."""
         return self.plugins.policy_type(self.profile.policy_type, self.profile_marker())
 
     @property
-    def build_types(self) -> Mapping[str, BuildType]:
+    def build_types(self) -> Mapping[str, api.BuildType]:
         """The build types of new packages by name; errors as :meth:`keymint.api.plugin_loader.Plugins.build_type`."""
         return {each: self.plugins.build_type(each, self.profile_marker()) for each in self.profile.build_types}
 
     @property
     @once
-    def package_type(self) -> PackageType:
+    def package_type(self) -> api.PackageType:
         """The type of the packages; errors as :meth:`keymint.api.plugin_loader.Plugins.package_type`."""
         return self.plugins.package_type(self.profile.package_type, self.profile_marker())
 
@@ -271,7 +260,7 @@ class Session(Inputs, Data):
         return self.made((_FILES, name), read, of_sources=True)
 
     @once
-    def package(self, name: str, *, built: bool = False) -> Package:
+    def package(self, name: str, *, built: bool = False) -> api.Package:
         """Load a package, once per run and content; errors as :meth:`keymint.api.PackageType.load`.
 
         A package of a subject also has the packages of infrastructure that its build types have, whose errors are
@@ -283,7 +272,7 @@ class Session(Inputs, Data):
         """
         package = self._load(name, built=built)
         needing = {each for each in package.build_types if self.plugins.build_type(each).INFRASTRUCTURE}
-        if not needing or package.role is Role.INFRASTRUCTURE:
+        if not needing or package.role is api.Role.INFRASTRUCTURE:
             return package
         infrastructure = (self._load(each) for each in self.infrastructure())
         return replace(package, infrastructure=tuple(each for each in infrastructure if needing & {*each.build_types}))
@@ -293,7 +282,7 @@ class Session(Inputs, Data):
         """Return the names of the existing packages of infrastructure, sorted; none if no build type needs any."""
         if not any(each.INFRASTRUCTURE for each in self.build_types.values()):
             return ()
-        return tuple(name for name in self.packages() if self.role(name) is Role.INFRASTRUCTURE)
+        return tuple(name for name in self.packages() if self.role(name) is api.Role.INFRASTRUCTURE)
 
     def sources_digest(self, name: str, files: Mapping[str, str] | None = None) -> str:
         """Return the digest of all that a package is loaded from except the profile, its infrastructure included.
@@ -322,7 +311,7 @@ class Session(Inputs, Data):
         return digest(*(part for item in own for part in item), *((str(generation),) if generation else ()))
 
     @once_of_sources
-    def issuance(self, name: str) -> Issuance:
+    def issuance(self, name: str) -> api.Issuance:
         """Return what the authority decided about a package; the defaults if it has nothing about it.
 
         Raises:
@@ -330,7 +319,7 @@ class Session(Inputs, Data):
         """
         file = self.package_type.ISSUANCE
         if file not in self.file_digests(name):
-            return Issuance()
+            return api.Issuance()
         folder = self.workspace.src / name
         return self.package_type.issuance(self.workspace.shown(folder), {file: self.tree.read(folder / file) or b""})
 
@@ -339,12 +328,12 @@ class Session(Inputs, Data):
         file = self.package_type.ISSUANCE or self.package_type.MARKER
         return self.workspace.origin(self.workspace.src / name / file)
 
-    def role(self, name: str) -> Role:
+    def role(self, name: str) -> api.Role:
         """Return why a package exists; the role of a subject if there is none or its manifest has defects."""
         marker = f"{self.workspace.src}/{name}/{self.package_type.MARKER}"
         found = self.tree.digest(marker)
         if found is None:
-            return Role.SUBJECT
+            return api.Role.SUBJECT
         return self.made(("role", found), lambda: self.package_type.role(self.tree.read(marker) or b""))
 
     def needed_infrastructure(self) -> Mapping[str, tuple[str, str]]:
@@ -363,7 +352,7 @@ class Session(Inputs, Data):
                 needed[name] = title, build_type
         return needed
 
-    def _load(self, name: str, *, built: bool = False) -> Package:
+    def _load(self, name: str, *, built: bool = False) -> api.Package:
         key = (name, self._sources(name)[1], built)
         if key not in self._packages:
             files, folder = self.package_files(name), self.workspace.shown(self.workspace.src / name)

@@ -22,7 +22,8 @@ from comarmor.text import lazy_regex, quote
 from comarmor.values import Data
 from comarmor.xml import reader
 from comarmor.xml.reader import line
-from keymint.api import AdoptedSources, Role, Validity, WorkspaceProfile
+from keymint import api
+from keymint.api import Role, Validity, WorkspaceProfile
 from keymint.api.source_documents import Reader
 from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.ir import SubjectRules
@@ -250,7 +251,7 @@ def _rights(rule: etree._Element, others: dict[str, int]) -> Iterator[tuple[_Rig
 _SPECIAL = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;"})
 
 
-def adopted_sources(profile: WorkspaceProfile, sources: AdoptedSources) -> Mapping[str, bytes]:
+def adopted_sources(profile: WorkspaceProfile, sources: api.AdoptedSources) -> Mapping[str, bytes]:
     """Return the files of a package: see :meth:`keymint.api.PackageType.adopted_sources`."""
     ids = [
         f"<id>{each.first}</id>"

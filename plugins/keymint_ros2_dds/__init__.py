@@ -3,8 +3,12 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+from importlib import import_module
+from typing import Any
+
 from comarmor.rules import PERMISSIONS
-from keymint.api import API_VERSION, BuildType, KeystoreReader, NameMapping, Presentation, Prover, lazy
+from keymint.api import API_VERSION, BuildType, NameMapping, Presentation, Prover, lazy
 from keymint_ros2_dds.enclave_layout import COPIED, LAYOUTS, PERMISSIONS_P7S, READS
 
 __all__ = ["DdsSecurity", "build_type"]
@@ -32,16 +36,6 @@ class SignedPermissions(Presentation):
     compared_with = lazy("keymint_ros2_dds.keystores.foreign_documents:compared_with")
 
 
-class DdsKeystores(KeystoreReader):
-    """Keystores and permissions of SROS2, openssl, and the guides of vendors."""
-
-    found = lazy("keymint_ros2_dds.examine.adopted_keystore:examine_keystore")
-    not_kept = lazy("keymint_ros2_dds.keystores.foreign_documents:not_kept")
-    granted = lazy("keymint_ros2_dds.keystores.grants_as_rules:granted_rules")
-    compared = lazy("keymint_ros2_dds.proving.document_relation:compare_document")
-    compare = lazy("keymint_ros2_dds.keystores.foreign_documents:compare")
-
-
 class DdsNames(NameMapping):
     """Topics of DDS for the names of ROS."""
 
@@ -65,8 +59,9 @@ class DdsSecurity(BuildType):
     VENDORS = ("cyclonedds", "fastdds")
     prover = DdsProver()
     presentation = SignedPermissions()
-    keystores = DdsKeystores()
     names = DdsNames()
+    keystores: Any = cached_property(lambda _: import_module("keymint_ros2_dds.keystores").DdsKeystores())
+    """Loads when it is asked for."""
 
     files = lazy("keymint_ros2_dds.enclave_layout:files")
     authorities = lazy("keymint_ros2_dds.enclave_layout:authorities")

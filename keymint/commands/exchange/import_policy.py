@@ -8,17 +8,7 @@ from pathlib import Path
 
 from comarmor.text import first_few, quantity
 from comarmor.xml.reader import looks_like_xml, parse
-from keymint.api import (
-    Comparison,
-    Counterexample,
-    ExportedPolicy,
-    ImportedPolicy,
-    ImportRequest,
-    PolicyFormat,
-    PolicyType,
-    Proof,
-    standard_claims,
-)
+from keymint import api
 from keymint.command_line.named_files import deliver, read_input, replacement_refusal, user_path
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions, distro_option, force_option, library_option
@@ -63,7 +53,7 @@ def import_policy(
     library = policies.shipped()  # an unknown distribution is wrong usage, whatever the file is
     importer = _importer(run, policy)
     file = output / f"{policy.name.removesuffix('.xml').removesuffix('.policy')}.xml"
-    request = ImportRequest(run.setting.cwd / policy, str(file), library, as_written, implicit)
+    request = api.ImportRequest(run.setting.cwd / policy, str(file), library, as_written, implicit)
     imported = importer.translated(request)
     proofs = proofs_of(run, importer, imported, policies.distro)
     _refuse_other_library(run, output, request.library, imported.document)
@@ -80,7 +70,7 @@ def import_policy(
     return run.report({**delivered, "subjects": subjects}, diagnostics, notes=True)
 
 
-def _importer(run: Run, policy: Path) -> PolicyType:
+def _importer(run: Run, policy: Path) -> api.PolicyType:
     """Return the policy type that recognises and imports a file.
 
     Raises:
@@ -99,8 +89,8 @@ def _importer(run: Run, policy: Path) -> PolicyType:
 
 
 def proofs_of(
-    run: Run, translator: PolicyType | PolicyFormat, made: ImportedPolicy | ExportedPolicy, distro: str
-) -> Mapping[str, Comparison]:
+    run: Run, translator: api.PolicyType | api.PolicyFormat, made: api.ImportedPolicy | api.ExportedPolicy, distro: str
+) -> Mapping[str, api.Comparison]:
     """Return what is proven about subjects whose documents another tool writes, by subject.
 
     Args:
@@ -117,15 +107,15 @@ def proofs_of(
     if reader is None:
         raise KeymintError(f"the build type {translator.BUILD_TYPE} compares no documents", code="import-unproven")
     effort = ProofEffort(run.setting.monotonic)
-    proofs: dict[str, Comparison] = {}
+    proofs: dict[str, api.Comparison] = {}
     refuted: list[Diagnostic] = []
     for each in made.subjects:
         with effort.limit(each.rules.rules):
             comparison = reader.compare(each, distro, effort.states, effort.deadline())
         subject = each.rules.subject
         proofs[subject] = comparison
-        claims = (*comparison.ours, *(() if each.deviates else standard_claims(comparison.theirs)))
-        if claim := next((claim for claim in claims if claim.proof is not Proof.PROVEN), None):
+        claims = (*comparison.ours, *(() if each.deviates else api.standard_claims(comparison.theirs)))
+        if claim := next((claim for claim in claims if claim.proof is not api.Proof.PROVEN), None):
             example, help_ = claim.counterexample, "simplify the policy"
             reason = f"{claim.model}, {claim.action}: {claim.reason}"
             if example is not None:
@@ -164,17 +154,17 @@ def _beside(run: Run, policy: Path, file: Path) -> Iterator[Diagnostic]:
         yield Diagnostic.warning("import-beside", message, Origin(str(file)), help_)
 
 
-def is_same(comparison: Comparison) -> bool:
+def is_same(comparison: api.Comparison) -> bool:
     """Tell whether both documents permit the same for all names, as the standard reads them."""
-    claims = (*standard_claims(comparison.theirs), *comparison.ours)
-    return all(claim.proof is Proof.PROVEN for claim in claims)
+    claims = (*api.standard_claims(comparison.theirs), *comparison.ours)
+    return all(claim.proof is api.Proof.PROVEN for claim in claims)
 
 
-def diagnostics_of(proofs: Mapping[str, Comparison], tool: str) -> Iterator[Diagnostic]:
+def diagnostics_of(proofs: Mapping[str, api.Comparison], tool: str) -> Iterator[Diagnostic]:
     """Yield what changes for a subject, what vendors read otherwise, and rules that not every vendor supports."""
     for subject, comparison in proofs.items():
         yield from comparison.diagnostics
-        standard = standard_claims(comparison.theirs)
+        standard = api.standard_claims(comparison.theirs)
         for claim in standard:
             if claim.counterexample is not None:
                 message = f"{subject}: what is enforced changes: {_difference(claim.counterexample, tool)}"
@@ -192,7 +182,7 @@ def diagnostics_of(proofs: Mapping[str, Comparison], tool: str) -> Iterator[Diag
                 yield Diagnostic.note("import-vendor", difference, where, "", subject)
 
 
-def _difference(example: Counterexample, tool: str) -> str:
+def _difference(example: api.Counterexample, tool: str) -> str:
     """Return a shortest name on which both differ, in words."""
     permits, name, allows = in_words(example)
     return f"{tool}'s document {permits} it to {name}, and the policy in ComArmor {allows} it"

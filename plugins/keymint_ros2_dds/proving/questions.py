@@ -15,7 +15,8 @@ from comarmor.patterns.decision_lists import SearchBudget
 from comarmor.patterns.glob import matches
 from comarmor.rules import Effect, is_fully_qualified, parts
 from comarmor.values import Data, replace
-from keymint.api import ComparisonTask, Counterexample, DomainRange, Endpoint, PolicyDecision, Verdict, lazy
+from keymint import api
+from keymint.api import ComparisonTask, Counterexample, DomainRange, PolicyDecision, lazy
 from keymint.api.graph import Edge, Object
 from keymint.errors import Reason
 from keymint.ir import Rule, SubjectRules
@@ -160,32 +161,32 @@ class Counterexamples(Data):
         place, help_ = None, ""
         if governance is not None and verdict.where is not None and verdict.where.file == governance.document.file:
             place, help_ = verdict.where, enclave_governance.help_for(governance, domain)
-        endpoint = Endpoint(task.rules.subject, action, topic, edges[0].object.partitions, domain)
+        endpoint = api.Endpoint(task.rules.subject, action, topic, edges[0].object.partitions, domain)
         entity = next((edge for edge in edges[1:] if is_ros_name(edge.object.name)), None)
         example = Counterexample(endpoint, entity, policy, verdict, help_, place)
         agree = policy.allowed is not permitted and verdict.allowed is permitted
         defect = f"the engine and the plain evaluators disagree on {topic!r}: a defect of Keymint"
         return example, "" if agree else defect
 
-    def _verdict(self, situation: Situation, topic: str, partition: str, *, permitted: bool) -> Verdict:
+    def _verdict(self, situation: Situation, topic: str, partition: str, *, permitted: bool) -> api.Verdict:
         """Return the verdict of the decision point about a topic and partition, by this model.
 
         Where the engine finds it permitted, the permissions alone may do so: a peer evaluates its own governance.
         """
         question, governance, era = self.question, self.question.governance, situation.era
         if self.refused:
-            return Verdict(allowed=False, reason=self.refused)
+            return api.Verdict(allowed=False, reason=self.refused)
         if era is None:
             return self._never()
         now, domain = era.begin, situation.domain
         endpoint = situation.action, topic, (partition,) if partition else ()
 
-        def ask(variation: Variation) -> Verdict:
+        def ask(variation: Variation) -> api.Verdict:
             evaluator = _document_evaluator(question.document, question.task.subject_name, now, domain, variation)
-            alone: Verdict = evaluator.decide(*endpoint)
+            alone: api.Verdict = evaluator.decide(*endpoint)
             if governance is None:
                 return alone
-            outcome: Verdict = _domain_access(governance.document, domain, variation.semantics).decide(
+            outcome: api.Verdict = _domain_access(governance.document, domain, variation.semantics).decide(
                 evaluator, *endpoint
             )
             if not outcome.allowed and permitted and alone.allowed:
@@ -198,17 +199,17 @@ class Counterexamples(Data):
         reason = outcome.reason
         if len(self.eras) > 1:
             reason += f" (by the grant in force from {era.begin:{_DATE}} to {era.end:{_DATE}})"
-        return Verdict(outcome.allowed, reason, outcome.where, deviation)
+        return api.Verdict(outcome.allowed, reason, outcome.where, deviation)
 
-    def _never(self) -> Verdict:
+    def _never(self) -> api.Verdict:
         """Return why no grant is ever in force."""
         document, name = self.question.document, self.question.task.subject_name
         grant = next(iter(self.variation.semantics.grants(document, name)), None)
         if grant is None:
-            return Verdict(allowed=False, reason=f"no grant applies to {name!r}")
+            return api.Verdict(allowed=False, reason=f"no grant applies to {name!r}")
         dates = f"{grant.not_before.strip()} to {grant.not_after.strip()}"
         reason = f"the grant of {name!r} is never valid ({dates})"
-        return Verdict(allowed=False, reason=reason, where=document.place(grant.line))
+        return api.Verdict(allowed=False, reason=reason, where=document.place(grant.line))
 
     def _policy_decision(self, situation: Situation, topic: str, partition: str, *, permitted: bool) -> PolicyDecision:
         if situation.action == TopicAction.RELAY:  # the evaluator of policies knows no relay
