@@ -78,7 +78,7 @@ def load_tree(
     nodes = inclusions = 0
     for name in roots:
         where = Origin(folder.name(name))
-        document = reader.document(folder, name, where, ())
+        document = reader.document(folder, name, folder.resolve(name, where), where, ())
         documents.append(document)
         nodes += document.nodes
         inclusions += document.inclusions
@@ -180,16 +180,18 @@ class _PolicyReader(Data, frozen=False):
         """Return what was read for some root documents."""
         return PolicyFiles(roots, MappingProxyType(self.seen), tuple(self.shipped.values()))
 
-    def document(self, folder: SandboxedFolder, relative: str, where: Origin, chain: tuple[Origin, ...]) -> PolicyFile:
+    def document(
+        self, folder: SandboxedFolder, relative: str, real: Path, where: Origin, chain: tuple[Origin, ...]
+    ) -> PolicyFile:
         """Read a file and its includes.
 
         Args:
             folder: the sandbox.
             relative: path of the file in the sandbox.
+            real: its resolved path.
             where: place for the error if it cannot be read.
             chain: the places that include it, innermost first.
         """
-        real = folder.resolve(relative, where)
         if real in self.files:
             self.seen[folder.place(relative)] = self.files[real]
         if real in self.open:
@@ -273,13 +275,13 @@ class _PolicyReader(Data, frozen=False):
             path = posixpath.normpath(path_of(href, where))
             target = posixpath.normpath(posixpath.join(key[1], path))
             inner, target = folder, checked_path(target, where) if folder.package else target
-        is_there = inner.has(target, where)
-        if not is_there:
+        real = inner.find(target, where)
+        if real is None:
             self.seen[inner.place(target)] = b""
-            if not inner.package and self.library is not None and self.library.has(path, where):
-                inner, target, is_there = self.library, path, True
-        if is_there:
-            document = self.document(inner, target, where, chain)
+            if not inner.package and self.library is not None and (real := self.library.find(path, where)):
+                inner, target = self.library, path
+        if real is not None:
+            document = self.document(inner, target, real, where, chain)
         elif inner.absent_is_empty:
             document = PolicyFile(inner.name(target), b"", etree.Element("profiles"), {}, 1, 0, True, inner.package)
         else:

@@ -81,16 +81,17 @@ class SandboxedFolder(Data):
         with file_errors("the file", where):
             return read_bounded(real.parent if self.trusts_links else self.real, real, size)
 
-    def has(self, relative: str, where: Origin) -> bool:
-        """Whether a path in this folder exists.
+    def find(self, relative: str, where: Origin) -> Path | None:
+        """Return the resolved path of a file in this folder, or None if there is none.
 
         Raises:
             ComArmorError: the path leads outside of the folder, or cannot be accessed.
         """
         with file_errors("the file", where), suppress(FileNotFoundError, NotADirectoryError):
-            self.resolve(relative, where).lstat()
-            return True
-        return False
+            real = self.resolve(relative, where)
+            real.lstat()
+            return real
+        return None
 
     def similar_file(self, relative: str, including: str = "") -> str:
         """Return a hint at a file with a similar name in the folder of a missing file.

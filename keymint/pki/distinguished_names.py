@@ -80,9 +80,8 @@ _PLAIN = lazy_regex(r"[A-Za-z0-9/_.-]+")
 """Values in which nothing is escaped: without ``=``, no ``/`` begins an attribute."""
 _SIMPLE = lazy_regex(r"[A-Za-z]+=[A-Za-z0-9/_.-]+(?:,[A-Za-z]+=[A-Za-z0-9/_.-]+)*")
 """Names of such values only."""
-_USUAL = lazy_regex(r"(?:CN|OU)=[A-Za-z0-9/_.-]{1,64}(?:,(?:CN|OU)=[A-Za-z0-9/_.-]{1,64})*")
-"""Names of which all forms are known without the library."""
 _USUAL_TYPES = {"CN": der.oid("2.5.4.3"), "OU": der.oid("2.5.4.11")}
+"""A simple name with these only, which are short, is known in all forms without the library."""
 _EXAMPLE = "write e.g. CN=/robot/camera,OU=x1 or /C=US/O=Acme/CN=ca"
 
 
@@ -130,13 +129,14 @@ class WrittenName(Data):
 @lru_cache(maxsize=1024)
 def written_name(text: str) -> WrittenName:
     """Return a name in the forms in which it is written; errors as :func:`parse`, without a place."""
-    if not _USUAL.fullmatch(text):
+    parts = [part.partition("=") for part in text.split(",")]
+    is_usual = all(kind in _USUAL_TYPES and len(value) <= MAX_COMMON_NAME for kind, _, value in parts)
+    if not (is_usual and _SIMPLE.fullmatch(text)):
         name = _parsed(text)
         plain = tuple(value for _, value in attributes(name) if _PLAIN.fullmatch(value))
         return WrittenName(name.public_bytes(), to_text(name), plain)
     values, encoded = list[str](), list[bytes]()
-    for part in text.split(","):
-        kind, _, value = part.partition("=")
+    for kind, _, value in parts:
         # Each part of a SET of a SEQUENCE of type and UTF8String is so short that its length takes one byte.
         type_, size = _USUAL_TYPES[kind], len(value)
         around, own = len(type_) + size + 2, (der.UTF8_STRING, size)
