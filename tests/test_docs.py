@@ -98,7 +98,8 @@ def test_each_file_of_a_workspace_that_has_a_schema_has_a_page(site: Path) -> No
     schemas = {f"{path.parent.name}/{path.name}" for path in (CHECKOUT / "schemas").glob("*/*.xsd")}
     assert schemas - listed == {
         "comarmor/xinclude.xsd", "keymint_ros/certificate_documents.xsd", "keymint_ros/certificates.xsd",
-        "keymint_ros/common.xsd", "keymint_ros2_dds/governance.xsd", "keymint_ros2_dds/governance_documents.xsd",
+        "keymint_ros/common.xsd", "keymint_ros/manifest_documents.xsd", "keymint_ros/rights_documents.xsd",
+        "keymint_ros2_dds/governance.xsd", "keymint_ros2_dds/governance_documents.xsd",
         "keymint_ros2_dds/permissions.xsd", "keymint_ros2_dds/source_types.xsd", "keymint_ros2_sros2/policy.xsd",
         "keymint_ros2_sros2/xml.xsd",
     }  # fmt: skip

@@ -136,7 +136,7 @@ def _part(element: etree._Element, usual: str, path_tag: str, defaults_tag: str)
     )
 
 
-read = Reader("keymint_ros", "keymint_package", _manifest)
+read = Reader("keymint_ros", "keymint_package", _manifest, ("manifest_documents", "package"))
 """Reads a package manifest."""
 
 

@@ -44,9 +44,10 @@ def _identity(root: etree._Element) -> tuple[str, IssuedElement]:
 
 _element_of_subject = partial(certificate.read, known=certificate.SUBJECT_PLACEHOLDERS)
 _read_identity = Reader("keymint_ros", "identities", _identity, ("certificate_documents", "package"))
-_AMONG = {"identities": ("certificate_documents", "defaults"), "permissions": None}
+_TOGETHER = {"identities": "certificate_documents", "permissions": "manifest_documents"}
 _DEFAULTS = {
-    part: Reader("keymint_ros", f"defaults_{part}", _element_of_subject, among) for part, among in _AMONG.items()
+    part: Reader("keymint_ros", f"defaults_{part}", _element_of_subject, (together, "defaults"))
+    for part, together in _TOGETHER.items()
 }
 _IDENTITIES, _PERMISSIONS = (f"{part}.xml" for part in _DEFAULTS)
 """The documents of a new package."""

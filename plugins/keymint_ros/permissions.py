@@ -134,7 +134,7 @@ def _grant(root: etree._Element) -> WrittenGrant:
     )
 
 
-_read = Reader("keymint_ros", "permissions", _grant)
+_read = Reader("keymint_ros", "permissions", _grant, ("rights_documents", "package"))
 
 
 def _rule(element: etree._Element) -> Rule:

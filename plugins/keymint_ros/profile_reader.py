@@ -117,12 +117,12 @@ def _policy_path(policy: etree._Element) -> _PathElement:
     return text(path) or "", line(path)
 
 
-_read_manifest = Reader("keymint_ros", "keymint_profile", _manifest)
+_read_manifest = Reader("keymint_ros", "keymint_profile", _manifest, ("manifest_documents", "profile"))
 _read_authorities = Reader("keymint_ros", "authorities", _authorities, ("certificate_documents", "profile"))
 _read_authority_defaults = Reader(
     "keymint_ros", "defaults_authorities", _read_element, ("certificate_documents", "defaults")
 )
-_read_policies = Reader("keymint_ros", "policies", _policies)
+_read_policies = Reader("keymint_ros", "policies", _policies, ("rights_documents", "profile"))
 
 
 def base_of(profile: WorkspaceProfile) -> str:
