@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import timedelta
 from functools import lru_cache
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 from string import Template
 
 from comarmor.data import locate
@@ -44,10 +45,10 @@ def filled_file(path: str, /, **values: object) -> bytes:
         named = line.strip().removeprefix("$")
         if named in lines:
             indentation = line[: len(line) - len(line.lstrip())]
-            result += [f"{indentation}{each}\n" for each in lines[named]]
+            result += [f"{indentation}{each}\n".replace("$", "$$") for each in lines[named]]
         else:
-            result.append(Template(line).substitute(texts))
-    return "".join(result).encode()
+            result.append(line)
+    return Template("".join(result)).substitute(texts).encode()
 
 
 def escape_xml(text: str) -> str:
@@ -126,11 +127,10 @@ def bootstrap(request: Bootstrap) -> Mapping[str, bytes]:
     files = {path: filled_file(f"profile/{path}", **values) for path in (*_PROFILE, *defaults)}
     files["authorities.xml"] = filled_file(f"profile/authorities.{'one' if issuer == signer else 'two'}.xml", **values)
     files["policies.xml"] = policies(request.policy or _EXAMPLE)
-    fragments = distros.library(request.distro)
-    files |= {
-        f"{_EXAMPLE}/{path.relative_to(fragments).as_posix()}": path.read_bytes()
-        for path in sorted(fragments.rglob("*.xml"))
-    }
+    fragments = str(distros.library(request.distro))
+    for folder, _, names in os.walk(fragments):
+        below = f"{_EXAMPLE}{folder.removeprefix(fragments)}"
+        files |= {f"{below}/{name}": Path(folder, name).read_bytes() for name in names if name.endswith(".xml")}
     if not request.policy:
         example = "talker_listener.xml"
         files[f"{_EXAMPLE}/{example}"] = (locate("keymint_ros", "templates") / "comarmor.d" / example).read_bytes()
