@@ -185,7 +185,7 @@ class Deviation(Data):
         return f"row {self.row}, {self.name}: {self.text}"
 
 
-class Variation(Data):
+class Variation(Data, slots=False):
     """An implementation, from one version on: the standard with deviations.
 
     Attributes:
@@ -208,7 +208,7 @@ class Variation(Data):
     assumptions: tuple[str, ...] = ()
     any_signer: bool = False
 
-    @property
+    @functools.cached_property
     def semantics(self) -> Semantics:
         """The standard's semantics with all deviations applied."""
         return _semantics(self.deviations)
