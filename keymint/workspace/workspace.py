@@ -65,9 +65,10 @@ class Workspace(Data):
         """
         root = root.resolve()
         paths = {space: (root / spaces[space]).resolve() if space in spaces else root / space for space in SPACES}
-        for (one, path), (other, outer) in permutations(paths.items(), 2):
-            if path.is_relative_to(outer):
-                message = f"the {one} space {path} is inside the {other} space {outer}"
+        texts = {space: f"{path}/".replace("//", "/") for space, path in paths.items()}
+        for one, other in permutations(SPACES, 2):
+            if texts[one].startswith(texts[other]):
+                message = f"the {one} space {paths[one]} is inside the {other} space {paths[other]}"
                 help_ = "give each space a folder of its own"
                 raise KeymintError(message, help=help_, code="space-overlap", exit_code=ExitCode.USAGE)
         return cls(root=root, shown_from=shown_from, **paths)
