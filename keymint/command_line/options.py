@@ -38,7 +38,7 @@ from comarmor.values import Data
 from keymint import api
 from keymint.api.plugin_loader import Plugins
 from keymint.command_line import named_packages
-from keymint.command_line.verb import FILE, argument, flag, option, option_group, option_texts, path_option, plugin
+from keymint.command_line.verb import FILE, Run, argument, flag, option, option_group, option_texts, path_option, plugin
 from keymint.errors import Diagnostic, usage_error
 from keymint.life.terms import Threshold
 from keymint.names import RAW
@@ -209,6 +209,24 @@ class DocumentOptions(Data):
 
 
 document_options = option_group(DocumentOptions)
+
+
+def build_options(run: Run, given: DocumentOptions) -> api.BuildOptions:
+    """Return the options of a build.
+
+    Raises:
+        KeymintError: the file of hints cannot be read, or is malformed.
+        click.UsageError: hints are given without optimisation.
+    """
+    if given.hints is not None and not given.optimise:
+        raise click.UsageError("--hints changes the order of rules, which --no-optimise keeps.")
+    hints: tuple[api.Hint, ...] = ()
+    if given.hints is not None:
+        from keymint.command_line.named_files import read_input  # noqa: PLC0415 - few builds have hints
+        from keymint.command_line.request_counts import load_hints  # noqa: PLC0415
+
+        hints = load_hints(read_input(run, given.hints), str(given.hints))
+    return api.BuildOptions(given.allow_vendor_specific, given.optimise, hints)
 
 
 prove_option = option("--prove/--no-prove", default=True, show_default=True, help=_TEXTS.get("prove"))

@@ -3,25 +3,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
-from pathlib import Path
 
-import click
-
-from comarmor.text import did_you_mean
-from keymint.analysis.lint.attachment_mistakes import attachment_mistakes
-from keymint.api import BuildOptions, Hint, LoadedPolicy
-from keymint.command_line.options import DocumentOptions, Names, document_options, names_group
+from keymint.command_line.options import DocumentOptions, Names, build_options, document_options, names_group
+from keymint.command_line.stage_options import policy_slips, unknown_hints
 from keymint.command_line.verb import Report, Run, flag, verb
-from keymint.errors import Diagnostic, KeymintError, Origin, usage_error
-from keymint.names import subject_of
+from keymint.errors import Diagnostic, KeymintError, usage_error
 from keymint.stages.create import UNCREATED, policy_changed, subjects_without_package
 from keymint.stages.pipeline import Request, conduct
 from keymint.stages.work import InstallRequest, Work
-from keymint.store.changes import Action, Plan, Step
+from keymint.store.changes import Plan
 from keymint.workspace.package_build_types import BUILD
-from keymint.workspace.policy_loading import lazy_policy, load_policy
+from keymint.workspace.policy_loading import lazy_policy
 from keymint.workspace.session import Session
 
 
@@ -74,52 +68,3 @@ def no_packages(session: Session) -> Diagnostic:
     """Return the warning that the source space has no packages."""
     message = f"no packages in {session.workspace.shown(session.workspace.src)}"
     return Diagnostic.warning("packages-none", message, None, "run 'keymint create --all'")
-
-
-def unknown_hints(hints: Sequence[Hint], file: Path | None, names: Iterable[str]) -> tuple[Diagnostic, ...]:
-    """Return a warning for each subject of the hints in a file without a package."""
-    known = [subject_of(name) for name in names] if hints else []  # few builds have hints
-    return tuple(
-        Diagnostic.warning(
-            "hints-subject",
-            f"the hints name {subject}, which is not a subject of this workspace",
-            Origin(str(file)),
-            did_you_mean(subject, known),
-        )
-        for subject in sorted({each.edge.subject for each in hints}.difference(known))
-    )
-
-
-def build_options(run: Run, given: DocumentOptions) -> BuildOptions:
-    """Return the options of a build.
-
-    Raises:
-        KeymintError: the file of hints cannot be read, or is malformed.
-        click.UsageError: hints are given without optimisation.
-    """
-    if given.hints is not None and not given.optimise:
-        raise click.UsageError("--hints changes the order of rules, which --no-optimise keeps.")
-    hints: tuple[Hint, ...] = ()
-    if given.hints is not None:
-        from keymint.command_line.named_files import read_input  # noqa: PLC0415 - few builds have hints
-        from keymint.command_line.request_counts import load_hints  # noqa: PLC0415
-
-        hints = load_hints(read_input(run, given.hints), str(given.hints))
-    return BuildOptions(given.allow_vendor_specific, given.optimise, hints)
-
-
-def policy_slips(session: Session, steps: Iterable[Step], policy: LoadedPolicy | None = None) -> tuple[Diagnostic, ...]:
-    """Return likely slips in the policy of a workspace, if any step does something.
-
-    Args:
-        session: the workspace and its profile.
-        steps: what is planned.
-        policy: the policy; loaded if it is not given.
-    """
-    if all(step.action is Action.UNCHANGED for step in steps):
-        return ()
-    try:
-        written = (policy or load_policy(session)).structure()
-    except KeymintError:
-        return ()  # 'create' reads the policy, and says what is wrong with it; a build takes what was created
-    return tuple(attachment_mistakes(written)) if written else ()

@@ -9,11 +9,9 @@ from pathlib import Path
 from comarmor.values import replace
 from keymint.api import LoadedPolicy
 from keymint.authority.authority_files import elsewhere
+from keymint.command_line import options, stage_options
 from keymint.command_line.options import DEFAULT_PROFILE_TYPE, DocumentOptions, Names, document_options, install_request
 from keymint.command_line.verb import PATH, Report, Run, argument, flag, option, option_group, verb
-from keymint.commands.start.build import build_options, policy_slips, unknown_hints
-from keymint.commands.start.create import AcceptanceOptions, accept, acceptance_options
-from keymint.commands.start.init import ProfileOptions, bootstrap_request, profile_options, refuse_contradiction
 from keymint.errors import Diagnostic, Origin
 from keymint.names import no_subject, subject_of
 from keymint.stages import create
@@ -34,12 +32,12 @@ _SHOWN = frozenset({"node-cannot-start", "parameter-client-cannot-start", "autho
 def provision(
     run: Run,
     policy: Path = argument(type=PATH),
-    profile: ProfileOptions = profile_options,
+    profile: stage_options.ProfileOptions = stage_options.profile_options,
     force: bool = flag("-f"),
     rekey: Names = option_group(Names, given=option("--rekey", multiple=True, metavar="NAME")),
     document_options: DocumentOptions = document_options,
     request: InstallRequest = install_request(),
-    acceptance: AcceptanceOptions = acceptance_options,
+    acceptance: stage_options.AcceptanceOptions = stage_options.acceptance_options,
 ) -> Report:
     """Turn a ComArmor POLICY into a keystore in one step: init, create --all, build and install.
 
@@ -53,11 +51,11 @@ def provision(
     """
     run.shown_notes = _SHOWN
     workspace = run.workspace_at(None)
-    options = build_options(run, document_options)
-    request = replace(request, force=force, build=options, allow_vendor_specific=options.allow_vendor_specific)
-    bootstrap = bootstrap_request(run, workspace, policy, profile)
+    build = options.build_options(run, document_options)
+    request = replace(request, force=force, build=build, allow_vendor_specific=build.allow_vendor_specific)
+    bootstrap = stage_options.bootstrap_request(run, workspace, policy, profile)
     if workspace.exists():
-        refuse_contradiction(run, workspace, profile)
+        stage_options.refuse_contradiction(run, workspace, profile)
 
     def make_plan(inputs: Inputs) -> Plan:
         before = inputs.session() if inputs.workspace.exists() else None
@@ -70,7 +68,7 @@ def provision(
             kind = profile.profile_type or DEFAULT_PROFILE_TYPE
             work = Work.after(inputs, create.plan_init(inputs, kind, bootstrap, profile.distro, run.setting.cwd))
             create.refuse_unsupported(work.session)
-        work = accept(work, acceptance)
+        work = stage_options.accept(work, acceptance)
         acquired = lazy_policy(work.session)
         work = work.then(plan_release(work.session, acquired))
         names = create.packages_to_create(work.session, acquired)
@@ -83,7 +81,9 @@ def provision(
         if rekey:
             new_keys = rekey.packages(run, work.session, names)
             told = rekey.confirm(run, "rekey", new_keys)
-        unknown = unknown_hints(options.hints, document_options.hints, (*names, *work.session.needed_infrastructure()))
+        unknown = stage_options.unknown_hints(
+            build.hints, document_options.hints, (*names, *work.session.needed_infrastructure())
+        )
         everything = Request(
             names,
             (CREATE, BUILD, INSTALL),
@@ -108,7 +108,7 @@ def provision(
 def _notes(work: Work, policy: LoadedPolicy, *, prune: bool) -> Iterator[Diagnostic]:
     """Yield what is told of some work: slips in the policy, nodes that cannot start, authorities without a key."""
     session, steps = work.session, work.of(CREATE, BUILD).steps
-    yield from policy_slips(session, steps, policy)
+    yield from stage_options.policy_slips(session, steps, policy)
     made = [subject_of(step.package) for step in steps if step.stage == CREATE and step.writes()][:_MOST]
     written = {each: own.rules if (own := policy.rules(each)) else () for each in made}
     if doubtful := [each for each in made if not any("/rosout" in rule.expressions for rule in written[each])]:
