@@ -13,7 +13,7 @@ import functools
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from enum import StrEnum
-from typing import Any
+from typing import Any, Literal
 
 from comarmor.patterns.tokens import Dialect
 from comarmor.values import Data, field, replace
@@ -54,14 +54,8 @@ class TopicCheck(StrEnum):
     EITHER = "the first criteria that match it in either direction"
 
 
-class Evidence(StrEnum):
-    """How the semantics of an implementation are known."""
-
-    SPECIFIED = "specified"
-    MEASURED = "measured"
-    SOURCES = "from sources"
-
-
+Evidence = Literal["specified", "measured", "from sources"]
+"""How the semantics of an implementation are known."""
 BEGINNING_OF_TIME = datetime.min.replace(tzinfo=UTC)
 
 
@@ -203,7 +197,7 @@ class Variation(Data, slots=False):
     deviations: tuple[Deviation, ...] = ()
     vendor: str = ""
     since: tuple[int, ...] = ()
-    evidence: Evidence = Evidence.SPECIFIED
+    evidence: Evidence = "specified"
     reading: str = ""
     assumptions: tuple[str, ...] = ()
     any_signer: bool = False
@@ -304,26 +298,26 @@ _OF_FAST = (
 
 OMG = Variation("omg", reading="documents are read as DDS Security 1.1 specifies (9.4.1.3)")
 CYCLONEDDS_0_10 = Variation(
-    "cyclonedds-0.10", CYCLONE_DEVIATIONS, "cyclonedds", (0, 7), Evidence.MEASURED,
+    "cyclonedds-0.10", CYCLONE_DEVIATIONS, "cyclonedds", (0, 7), "measured",
     "documents are read as Cyclone DDS 0.10.2 and 0.10.5 were measured to; the topic check is part of the model",
     _OF_CYCLONE, any_signer=True,
 )  # fmt: skip
 CYCLONEDDS_11 = Variation(
-    "cyclonedds-11", CYCLONE_11_DEVIATIONS, "cyclonedds", (11,), Evidence.SOURCES,
+    "cyclonedds-11", CYCLONE_11_DEVIATIONS, "cyclonedds", (11,), "from sources",
     "documents are read as sources of Cyclone DDS 11.0.1 do, not run; the topic check is part of the model",
     _OF_CYCLONE,
 )  # fmt: skip
 FASTDDS_2_9 = Variation(
-    "fastdds-2.9", FAST_DEVIATIONS, "fastdds", (2, 0), Evidence.MEASURED,
+    "fastdds-2.9", FAST_DEVIATIONS, "fastdds", (2, 0), "measured",
     "documents are read as Fast DDS 2.9.1 was measured to read them", _OF_FAST, any_signer=True,
 )  # fmt: skip
 FASTDDS_2_11 = Variation(
-    "fastdds-2.11", FAST_2_11_DEVIATIONS, "fastdds", (2, 11), Evidence.SOURCES,
+    "fastdds-2.11", FAST_2_11_DEVIATIONS, "fastdds", (2, 11), "from sources",
     "names are compared as sources of Fast DDS 2.11.0 to 2.14.6 do, not run; all else as measured on 2.9.1",
     _OF_FAST,
 )  # fmt: skip
 FASTDDS_3_3 = Variation(
-    "fastdds-3.3", FAST_2_11_DEVIATIONS, "fastdds", (3, 0), Evidence.MEASURED,
+    "fastdds-3.3", FAST_2_11_DEVIATIONS, "fastdds", (3, 0), "measured",
     "documents are read as Fast DDS 3.3.0 was measured to read them", _OF_FAST,
 )  # fmt: skip
 VARIATIONS: Mapping[str, Variation] = {
