@@ -7,15 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from comarmor.values import Data, replace
-from keymint.api import (
-    ComparisonTask,
-    DocumentComparison,
-    FoundKeystore,
-    GrantedRules,
-    KeystoreFiles,
-    KeystoreReader,
-    Relation,
-)
+from keymint import api
 from keymint.api.plugin_loader import Plugins
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.ir import SubjectRules
@@ -23,11 +15,11 @@ from keymint.names import package_name
 from keymint.stages.proof.proof_results import ProofEffort, costliest, in_words
 
 _WORDS = {
-    Relation.EQUAL: "equal to the policy",
-    Relation.NARROWER: "narrower than the policy",
-    Relation.WIDER: "WIDER than the policy",
-    Relation.DIFFERENT: "DIFFERENT from the policy",
-    Relation.UNKNOWN: "not known to be equal to the policy",
+    api.Relation.EQUAL: "equal to the policy",
+    api.Relation.NARROWER: "narrower than the policy",
+    api.Relation.WIDER: "WIDER than the policy",
+    api.Relation.DIFFERENT: "DIFFERENT from the policy",
+    api.Relation.UNKNOWN: "not known to be equal to the policy",
 }
 _NOTE = "Learned from the signed documents of a keystore, and proven to mean the same for all names."
 
@@ -60,7 +52,7 @@ class Compared(Data):
     """
 
     subject: str
-    comparison: DocumentComparison
+    comparison: api.DocumentComparison
     file: str
 
     @property
@@ -86,7 +78,11 @@ class Compared(Data):
 
 
 def document_comparisons(
-    reader: KeystoreReader, keystore: FoundKeystore, rules: Mapping[str, SubjectRules], distro: str, effort: ProofEffort
+    reader: api.KeystoreReader,
+    keystore: api.FoundKeystore,
+    rules: Mapping[str, SubjectRules],
+    distro: str,
+    effort: ProofEffort,
 ) -> tuple[Compared, ...]:
     """Compare the signed documents of a keystore with a policy.
 
@@ -105,7 +101,7 @@ def document_comparisons(
     for each in keystore.enclaves:
         if (grant := each.grant) is not None:
             of_subject = rules.get(each.subject, SubjectRules(each.subject, ()))
-            task = ComparisonTask(
+            task = api.ComparisonTask(
                 grant.document, grant.file, grant.offset, grant.subject_name, of_subject, distro, each.domains,
                 effort.states, go_on,
             )  # fmt: skip
@@ -114,7 +110,7 @@ def document_comparisons(
     return tuple(found)
 
 
-def differences(found: DocumentComparison) -> str:
+def differences(found: api.DocumentComparison) -> str:
     """Return the shortest names on which a document and a policy differ, in words."""
     words = (in_words(each) for each in (found.missing, found.excess) if each is not None)
     return "; ".join(f"it {permits} {name}, which the policy {allows}" for permits, name, allows in words)
@@ -134,7 +130,7 @@ class Learning(Data):
         effort: the limits of the search for one answer, and of the comparison of an enclave's documents.
     """
 
-    reader: KeystoreReader
+    reader: api.KeystoreReader
     policy_type: str
     distro: str
     name: str
@@ -142,8 +138,12 @@ class Learning(Data):
 
 
 def learned_from(
-    plugins: Plugins, files: KeystoreFiles, found: FoundKeystore, learning: Learning, unclear: Sequence[Diagnostic]
-) -> tuple[bytes, list[GrantedRules], tuple[Diagnostic, ...]]:
+    plugins: Plugins,
+    files: api.KeystoreFiles,
+    found: api.FoundKeystore,
+    learning: Learning,
+    unclear: Sequence[Diagnostic],
+) -> tuple[bytes, list[api.GrantedRules], tuple[Diagnostic, ...]]:
     """Return the policy of a keystore, proven to mean what its signed documents mean, for all names.
 
     Args:
@@ -164,7 +164,7 @@ def learned_from(
     writer = plugins.policy_type(learning.policy_type)
     if unclear:
         raise KeymintError.of(unclear)
-    granted: list[GrantedRules] = []
+    granted: list[api.GrantedRules] = []
     errors: list[Diagnostic] = []
     for enclave in found.enclaves:
         try:
@@ -190,17 +190,17 @@ def learned_from(
     return document, granted, diagnostics
 
 
-def _unproven(granted: Iterable[GrantedRules], learning: Learning) -> Iterator[Diagnostic]:
+def _unproven(granted: Iterable[api.GrantedRules], learning: Learning) -> Iterator[Diagnostic]:
     """Yield an error for each document that is not proven to mean what its subject's rules in the policy mean."""
     for each in granted:
         rules = each.rules
-        task = ComparisonTask(
+        task = api.ComparisonTask(
             each.document, each.file, each.offset, each.subject_name, rules, learning.distro, each.domains,
             learning.effort.states, learning.effort.deadline(),
         )  # fmt: skip
         with learning.effort.limit(rules.rules):
             comparison = learning.reader.compared(task)
-        if comparison.relation is not Relation.EQUAL:
+        if comparison.relation is not api.Relation.EQUAL:
             reason = comparison.reason + costliest(rules.rules) if comparison.reason else differences(comparison)
             message = f"{rules.subject}: the learned rules are not proven to mean what {each.file} means: {reason}"
             help_ = "simplify the document, or report a defect of Keymint if it is a simple one"

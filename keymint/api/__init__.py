@@ -107,6 +107,7 @@ if TYPE_CHECKING:
         KeystoreFiles as KeystoreFiles,
         KeystoreReader as KeystoreReader,
     )
+    from keymint.api.graph import Edge as Edge, Graph as Graph, Object as Object
     from keymint.api.rights import (
         Comparison as Comparison,
         DocumentComparison as DocumentComparison,
@@ -135,12 +136,13 @@ API_VERSION = "3.0"
 _LATER = {
     "foreign_keystores": "AdoptedSources FoundAuthority FoundEnclave FoundGrant FoundKeystore GrantedRules KeystoreFile"
     " KeystoreFiles KeystoreReader",
+    "graph": "Edge Graph Object",
     "rights": "Comparison DocumentComparison ExcessRights Holder PresentableDocument PresentationTask Relation"
     " standard_claims",
     "transports": "Availability DiscoveredGraph Endpoint Environment GraphSource InstalledEnclave Tier Transport"
     " TransportType Verdict",
 }
-"""What loads at first use, by module: most runs neither adopt a keystore nor ask a transport."""
+"""What loads at first use, by module: most runs ask for no single edge, nor other keystores or transports."""
 _MODULE_OF = {name: f"keymint.api.{module}" for module, names in _LATER.items() for name in names.split()}
 _module = cache(import_module)
 

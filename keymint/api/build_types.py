@@ -20,7 +20,6 @@ from keymint.api.building import (
     Inspection,
     Layout,
 )
-from keymint.api.graph import Edge
 from keymint.api.packages import Package, PackageSettings, PackageSources
 from keymint.api.profiles import WorkspaceProfile
 from keymint.api.proving import Claim, Prover, SharedProofTask
@@ -29,6 +28,7 @@ from keymint.ir import SubjectRules
 
 if TYPE_CHECKING:
     from keymint.api.foreign_keystores import KeystoreReader
+    from keymint.api.graph import Edge
     from keymint.api.rights import DocumentComparison, ExcessRights, PresentationTask
     from keymint.api.transports import Endpoint, InstalledEnclave
 

@@ -8,13 +8,14 @@ from datetime import datetime
 from typing import TYPE_CHECKING
 
 from comarmor.values import Data, field
-from keymint.api.graph import Edge
 from keymint.api.packages import Package
 from keymint.errors import Diagnostic, Origin
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
     from cryptography.hazmat.primitives.asymmetric.rsa import RSAPrivateKey
+
+    from keymint.api.graph import Edge
 
 
 class Hint(Data):

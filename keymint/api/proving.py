@@ -11,13 +11,13 @@ from enum import StrEnum
 from typing import TYPE_CHECKING
 
 from comarmor.values import Data, field
-from keymint.api.graph import Edge
 from keymint.api.packages import DomainRange, Package
 from keymint.api.policies import PolicyDecision
 from keymint.errors import Diagnostic, Origin
 from keymint.ir import Rule, SubjectRules
 
 if TYPE_CHECKING:
+    from keymint.api.graph import Edge
     from keymint.api.transports import Endpoint, Verdict
 
 

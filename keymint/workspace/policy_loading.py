@@ -9,8 +9,8 @@ from pathlib import Path
 
 from comarmor.values import Data, replace
 from comarmor.xml.package_folders import CopiedPackages, PackageFolders
+from keymint import api
 from keymint.api import AppliedProfile, LoadedPolicy, PolicyDecision, PolicyStructure
-from keymint.api.graph import Edge
 from keymint.api.plugin_loader import Plugins
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.ir import SubjectRules
@@ -237,7 +237,7 @@ class _LazyPolicy(LoadedPolicy):
         """Return the structure of the policy, if its type provides one."""
         return self._load().structure()
 
-    def decide(self, edge: Edge) -> PolicyDecision:
+    def decide(self, edge: api.Edge) -> PolicyDecision:
         """Return the policy's decision about an edge."""
         return self._load().decide(edge)
 

@@ -15,8 +15,8 @@ import comarmor
 from comarmor.language.policy import Ruling
 from comarmor.rules import Effect
 from comarmor.xml.package_folders import ShippedFile
+from keymint import api
 from keymint.api import AppliedProfile, LoadedPolicy, PolicyDecision, PolicyStructure, WrittenProfile, WrittenRule
-from keymint.api.graph import Edge
 from keymint.errors import Diagnostic
 from keymint.ir import SubjectRules
 
@@ -81,7 +81,7 @@ class ComArmorPolicy(LoadedPolicy):
             self._structure = structure(self.policy)
         return self._structure
 
-    def decide(self, edge: Edge) -> PolicyDecision:
+    def decide(self, edge: api.Edge) -> PolicyDecision:
         """See :meth:`keymint.api.LoadedPolicy.decide`."""
         requested = edge.object
         row = self.policy.row(edge.subject, requested.kind, edge.permission)

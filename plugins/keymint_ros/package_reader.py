@@ -12,19 +12,7 @@ from lxml import etree
 
 from comarmor.text import did_you_mean
 from comarmor.values import Data, replace
-from keymint.api import (
-    Authority,
-    BuildType,
-    CertificateSpec,
-    Grant,
-    Issuance,
-    Package,
-    PackageSettings,
-    PackageSources,
-    Role,
-    SourcePart,
-    WorkspaceProfile,
-)
+from keymint import api
 from keymint.api.source_documents import DEFAULT_DOMAINS, Reader, file_in, normal_path, signer
 from keymint.errors import Defects, KeymintError, Origin, known_authority
 from keymint.ir import Rule, SubjectRules
@@ -34,7 +22,7 @@ from keymint_ros.certificate import IssuedElement
 from keymint_ros.manifest import ADOPTED, MARKER, SIGNER, PackageManifest, PackagePart
 from keymint_ros.profile_reader import base_of
 
-_Issued = TypeVar("_Issued", CertificateSpec, Grant)
+_Issued = TypeVar("_Issued", api.CertificateSpec, api.Grant)
 
 
 def _identity(root: etree._Element) -> tuple[str, IssuedElement]:
@@ -71,7 +59,7 @@ class _PackageLoader(Data):
         built: the package was built from these files.
     """
 
-    profile: WorkspaceProfile
+    profile: api.WorkspaceProfile
     name: str
     folder: str
     files: Mapping[str, bytes]
@@ -117,7 +105,7 @@ class _PackageLoader(Data):
         """Return the place of a part in the manifest."""
         return Origin(f"{self.folder}/{MARKER}", part.line)
 
-    def identity(self) -> CertificateSpec:
+    def identity(self) -> api.CertificateSpec:
         """Return the certificate of the subject."""
         part = self.manifest.part("identities")
         file, content = self.own(part)
@@ -136,10 +124,10 @@ class _PackageLoader(Data):
         known_authority(spec.issuer, self.authorities, named_at, "issues the certificate")
         return spec
 
-    def grant(self) -> Grant:
+    def grant(self) -> api.Grant:
         """Return the grant of the subject; infrastructure needs no document for it, since its grant has no rules."""
         subject, part = subject_of(self.name), self.manifest.part("permissions")
-        if self.manifest.role is Role.INFRASTRUCTURE and part.path not in self.files:
+        if self.manifest.role is api.Role.INFRASTRUCTURE and part.path not in self.files:
             return self._grant_of(SubjectRules(subject, ()))
         file, found = self.own(part, create=f"'keymint create {self.name}' creates it from the policy")
         content = found or b""
@@ -158,7 +146,7 @@ class _PackageLoader(Data):
         grant = permissions.read(content, file, subject_of(self.name))
         return permissions.to_ir(grant, subject_of(self.name), file, base_of(self.profile)).rules
 
-    def _grant_of(self, rules: SubjectRules, written: IssuedElement | None = None) -> Grant:
+    def _grant_of(self, rules: SubjectRules, written: IssuedElement | None = None) -> api.Grant:
         """Return the grant that its document and the defaults give for some rules.
 
         Args:
@@ -169,7 +157,7 @@ class _PackageLoader(Data):
         defaults = self.defaults("permissions", part)
         own = written or defaults
         issuer = defaults.issuer or (SIGNER if SIGNER in self.authorities else "")
-        return Grant(
+        return api.Grant(
             issuer=signer(part.issuer, self.place(part), issuer, defaults.origin, self.authorities),
             name=rules.subject,
             subject_name=certificate.expanded_name(own.subject_name or defaults.subject_name or "", self.values),
@@ -181,22 +169,22 @@ class _PackageLoader(Data):
             defaults_origin=defaults.origin,
         )
 
-    def part(self, name: str) -> SourcePart:
+    def part(self, name: str) -> api.SourcePart:
         """Return a part that a build type reads."""
         part = self.manifest.part(name)
-        return SourcePart(name, *self.own(part), *self.optional_defaults(part), part.issuer, self.place(part))
+        return api.SourcePart(name, *self.own(part), *self.optional_defaults(part), part.issuer, self.place(part))
 
 
 def load(
-    profile: WorkspaceProfile,
+    profile: api.WorkspaceProfile,
     name: str,
     folder: str,
     files: Mapping[str, bytes],
-    build_types: Callable[[str, Origin], BuildType],
+    build_types: Callable[[str, Origin], api.BuildType],
     install_space: str,
     *,
     built: bool = False,
-) -> Package:
+) -> api.Package:
     """Load a package: see :meth:`keymint.api.PackageType.load`."""
     file = f"{folder}/{MARKER}"
     package_manifest = manifest.read(file_in(files, MARKER, Origin(folder), "package"), file)
@@ -208,7 +196,7 @@ def load(
     subject = subject_of(name)
     plugins = {each: build_types(each, Origin(file)) for each in package_manifest.build_types}
     defects = Defects()
-    issued = defects.attempt(partial(decisions.issuance, folder, files)) or Issuance()
+    issued = defects.attempt(partial(decisions.issuance, folder, files)) or api.Issuance()
     in_common_name = any(each.KNOWS_COMMON_NAMES_ONLY for each in plugins.values())
     values = certificate.placeholder_values(subject, issued.generation, in_common_name=in_common_name)
     authorities = tuple(authority.name for authority in profile.authorities)
@@ -218,7 +206,7 @@ def load(
     of_types = dict.fromkeys(each for plugin in plugins.values() for each in plugin.PARTS)
     attempted = {each: defects.attempt(partial(loader.part, each)) for each in of_types}
     parts = {each: part for each, part in attempted.items() if part}
-    sources = PackageSources(
+    sources = api.PackageSources(
         name=name,
         subject=subject,
         role=package_manifest.role,
@@ -230,13 +218,13 @@ def load(
         identity=identity,
         grant=grant,
     )
-    settings: dict[str, PackageSettings] = {}
+    settings: dict[str, api.PackageSettings] = {}
     for each, plugin in plugins.items():
         if parts.keys() >= set(plugin.PARTS) and (read := defects.attempt(partial(plugin.settings, sources))):
             settings[each] = read
     if identity is None or grant is None or defects.found:
         raise KeymintError.of(defects.found)
-    return Package(
+    return api.Package(
         name=name,
         subject=subject,
         distro=profile.distro,
@@ -252,13 +240,13 @@ def load(
 
 
 def load_like(
-    profile: WorkspaceProfile,
-    like: Package,
+    profile: api.WorkspaceProfile,
+    like: api.Package,
     sources: Mapping[str, bytes],
     name: str,
     folder: str,
     files: Mapping[str, bytes],
-) -> Package | None:
+) -> api.Package | None:
     """Load a package from another one: see :meth:`keymint.api.PackageType.load_like`."""
     identity, grant = like.identity, like.grant
     others = [file for file, content in files.items() if sources.get(file) != content]
@@ -266,7 +254,7 @@ def load_like(
     patterns = _patterns(defaults, like.subject, (identity.subject_name, grant.subject_name))
     if others != [_PERMISSIONS] or len(files) != len(sources) or not patterns:
         return None
-    if grant.edited or like.issuance != Issuance() or like.role is not Role.SUBJECT or like.kept:
+    if grant.edited or like.issuance != api.Issuance() or like.role is not api.Role.SUBJECT or like.kept:
         return None
     rules = permissions.rendered_rules(files[_PERMISSIONS], base_of(profile))
     if rules is None:
@@ -278,16 +266,16 @@ def load_like(
     place = identity.origin  # in the defaults, unless the package itself says something
     if place.file.endswith(f"/{like.name}/{_IDENTITIES}"):
         place = Origin(f"{folder}/{_IDENTITIES}", place.line)
-    spec = CertificateSpec(
+    spec = api.CertificateSpec(
         own_identity, identity.validity, identity.serial, identity.issuer, identity.hash_algorithm, identity.key,
         identity.extensions, place,
     )  # fmt: skip
     place = Origin(f"{folder}/{_PERMISSIONS}", grant.origin.line)
-    own = Grant(
+    own = api.Grant(
         grant.issuer, rules.subject, own_grant, grant.validity, grant.domains, rules, place, grant.domains_origin,
         grant.defaults_origin,
     )  # fmt: skip
-    return Package(name, rules.subject, like.distro, spec, own, like.build_types, like.settings, like.issuers)
+    return api.Package(name, rules.subject, like.distro, spec, own, like.build_types, like.settings, like.issuers)
 
 
 @lru_cache(maxsize=16)
@@ -300,14 +288,14 @@ def _patterns(defaults: tuple[bytes, ...], subject: str, names: tuple[str, str])
     return patterns if tuple(certificate.expanded_name(each, values) for each in patterns) == names else ()
 
 
-def _renewed(issued: _Issued | None, issuance_: Issuance) -> _Issued | None:
+def _renewed(issued: _Issued | None, issuance_: api.Issuance) -> _Issued | None:
     """Return a certificate or a grant with the validity that it has since it was renewed."""
     if issued is None or issued.validity is None or issuance_.renewed is None:
         return issued
     return replace(issued, validity=validity.renewed_period(issued.validity, issuance_.renewed))
 
 
-def _with_extensions(identity: CertificateSpec, settings: Collection[PackageSettings]) -> CertificateSpec:
+def _with_extensions(identity: api.CertificateSpec, settings: Collection[api.PackageSettings]) -> api.CertificateSpec:
     """Return the identity with the extensions that build types add; an extension of the sources goes first."""
     if not any(of_build_type.extensions for of_build_type in settings):
         return identity
@@ -317,7 +305,7 @@ def _with_extensions(identity: CertificateSpec, settings: Collection[PackageSett
     return replace(identity, extensions=tuple(extensions.values()))
 
 
-def _issuers(profile: WorkspaceProfile, name: str) -> Iterator[Authority]:
+def _issuers(profile: api.WorkspaceProfile, name: str) -> Iterator[api.Authority]:
     """Yield an authority and its issuers up to the root; the profile has no cycle."""
     known = {authority.name: authority for authority in profile.authorities}
     while name in known:

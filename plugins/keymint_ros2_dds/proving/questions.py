@@ -17,7 +17,6 @@ from comarmor.rules import Effect, is_fully_qualified, parts
 from comarmor.values import Data, replace
 from keymint import api
 from keymint.api import ComparisonTask, Counterexample, DomainRange, PolicyDecision, lazy
-from keymint.api.graph import Edge, Object
 from keymint.errors import Reason
 from keymint.ir import Rule, SubjectRules
 from keymint_ros2_dds.decision import semantics
@@ -79,14 +78,14 @@ def deciding_rule(rules: SubjectRules, distro: str, action: str, topic: str, par
     return next((rule for rule in about if rule.effect is Effect.DENY), about[0] if about else None)
 
 
-def endpoint_edges(subject: str, distro: str, action: str, topic: str, partition: str) -> tuple[Edge, ...]:
+def endpoint_edges(subject: str, distro: str, action: str, topic: str, partition: str) -> tuple[api.Edge, ...]:
     """Return the edge of an endpoint, and those of the ROS entities that need it."""
     partitions = (partition,) if partition or distro == ARDENT else ()
-    endpoint = Edge(subject, action, Object("topic", topic, partitions))
+    endpoint = api.Edge(subject, action, api.Object("topic", topic, partitions))
     return (endpoint, *_meanings(distro, endpoint))
 
 
-def _is_about(rule: Rule, edge: Edge, partition: str) -> bool:
+def _is_about(rule: Rule, edge: api.Edge, partition: str) -> bool:
     """Tell whether a rule matches an edge; a composite rule matches its name without the suffix of its part."""
     if rule.partitions:
         if not any(_matches(expression, partition) for expression in rule.partitions):
