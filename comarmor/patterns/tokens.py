@@ -4,15 +4,15 @@ r"""Split ``fnmatch`` expressions into tokens; the dialects are data.
 All dialects share the notation of POSIX (IEEE Std 1003.1, 2.13; 1003.2-1992, B.6 and 3.13) without flags: ``*`` and
 ``?`` also match ``/`` and a leading ``.``, and ``[…]`` is a bracket expression. Characters are compared by code point,
 classes are those of the C locale. Where POSIX leaves the meaning open, tokens follow the GNU C library: a ``[`` that is
-never closed is an ordinary character, and ``[^…]`` means ``[!…]``. What POSIX calls undefined (:class:`Undefined`) is
+never closed is an ordinary character, and ``[^…]`` means ``[!…]``. What POSIX calls undefined (:data:`Undefined`) is
 an error in some dialects; the others read it as described there.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from enum import Enum, auto
 from itertools import chain
+from typing import Literal, get_args
 
 from comarmor.errors import ComArmorError
 from comarmor.text import did_you_mean, lazy_regex
@@ -27,19 +27,14 @@ class PatternError(ComArmorError):
     """The text is not an expression of the dialect."""
 
 
-class Undefined(Enum):
-    """Notation whose meaning POSIX leaves undefined."""
+Undefined = Literal["lone backslash", "unknown class", "collation", "empty range", "class in range"]
+r"""Notation whose meaning POSIX leaves undefined, and what it means where it is no error.
 
-    LONE_BACKSLASH = auto()
-    r"""A ``\`` at the end, which escapes nothing: the expression matches nothing."""
-    UNKNOWN_CLASS = auto()
-    """``[:name:]`` where no class has the name: ordinary characters."""
-    COLLATION = auto()
-    """A collating element ``[.x.]`` or an equivalence class ``[=x=]``: ordinary characters."""
-    EMPTY_RANGE = auto()
-    """A range whose ends are in the wrong order: it has no members."""
-    CLASS_IN_RANGE = auto()
-    """A range that ends in a class: it ends in the ``[``."""
+``lone backslash``: one at the end, which escapes nothing: the expression matches nothing. ``unknown class``:
+``[:name:]`` where no class has the name: ordinary characters. ``collation``: a collating element ``[.x.]`` or an
+equivalence class ``[=x=]``: ordinary characters. ``empty range``: its ends are in the wrong order: it has no members.
+``class in range``: a range that ends in a class: it ends in the ``[``.
+"""
 
 
 class Dialect(Data, eq=False):
@@ -61,9 +56,9 @@ class Dialect(Data, eq=False):
     closing_bracket_is_member: bool = False
 
 
-COMARMOR = Dialect(errors=frozenset(Undefined))
+COMARMOR = Dialect(errors=frozenset(get_args(Undefined)))
 """Expressions in policies: whatever POSIX leaves undefined is an error, because it only ever hides a mistake."""
-POSIX = Dialect(errors=frozenset({Undefined.LONE_BACKSLASH, Undefined.UNKNOWN_CLASS, Undefined.COLLATION}))
+POSIX = Dialect(errors=frozenset({"lone backslash", "unknown class", "collation"}))
 """``fnmatch`` with no flags; an error is what implementations read differently."""
 
 
@@ -209,7 +204,7 @@ def next_token(expression: str, index: int, dialect: Dialect) -> tuple[Token | B
     if char == "\\" and dialect.escapes:
         if index < len(expression):
             return expression[index], index + 1
-        if Undefined.LONE_BACKSLASH in dialect.errors:
+        if "lone backslash" in dialect.errors:
             raise _error("the expression ends with a lone '\\'", "write \\\\ for the character")
         return NOTHING, index
     if char == "[" and dialect.closing_bracket_is_member:
@@ -235,15 +230,15 @@ def _bracket(expression: str, index: int, dialect: Dialect) -> tuple[Bracket, in
             members.append(name)
             index += len(name) + 4
             continue
-        if Undefined.COLLATION in dialect.errors and expression.startswith(("[.", "[="), index):
+        if "collation" in dialect.errors and expression.startswith(("[.", "[="), index):
             error = error or _collation(expression[index : index + 2])
         first, index = _member(expression, index, dialect)
         last = first
         if expression.startswith("-", index) and expression[index + 1 : index + 2] not in ("", "]"):
-            if Undefined.CLASS_IN_RANGE in dialect.errors and _class(expression, index + 1, dialect):
+            if "class in range" in dialect.errors and _class(expression, index + 1, dialect):
                 raise _error("a character class cannot end a range", "escape the '-' as \\-")
             last, index = _member(expression, index + 1, dialect)
-            if last < first and Undefined.EMPTY_RANGE in dialect.errors:
+            if last < first and "empty range" in dialect.errors:
                 error = error or _error(
                     f"the range {first}-{last} is empty", f"write {last}-{first}, or escape the '-' as \\-"
                 )
@@ -259,12 +254,12 @@ def _class(expression: str, index: int, dialect: Dialect) -> str | None:
     """Return the name of the class at an index, or None if there is none."""
     if not dialect.classes or expression[index] != "[":
         return None
-    if Undefined.COLLATION in dialect.errors and _COLLATION.match(expression, index):
+    if "collation" in dialect.errors and _COLLATION.match(expression, index):
         raise _collation(expression[index : index + 2])
     match = _CLASS.match(expression, index)
     if match and match[1] in CLASSES:
         return match[1]
-    if match and Undefined.UNKNOWN_CLASS in dialect.errors:
+    if match and "unknown class" in dialect.errors:
         raise _error(
             f"unknown character class {match[0]}",
             did_you_mean(match[1].lower(), tuple(CLASSES)) or f"known are {', '.join(CLASSES)}",

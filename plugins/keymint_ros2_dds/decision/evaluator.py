@@ -22,7 +22,7 @@ from comarmor.patterns.tokens import Dialect
 from comarmor.values import Data
 from keymint.api import Verdict
 from keymint.errors import Origin
-from keymint_ros2_dds.decision.semantics import OMG, Semantics, TopicCheck, Variation
+from keymint_ros2_dds.decision.semantics import OMG, Semantics, Variation
 from keymint_ros2_dds.reading import dialects, signed_permissions
 from keymint_ros2_dds.reading.signed_governance import ACCESS, DocumentDomainRule, DocumentTopicRule, GovernanceDocument
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, DocumentRule, PermissionsDocument
@@ -193,7 +193,7 @@ class DocumentEvaluator:
     @property
     def _naming(self) -> Sequence[Sequence[_CriteriaStep]]:
         """The criteria of which the first ones that match a topic decide whether it may exist; any may allow it."""
-        if self.semantics.topic_check is TopicCheck.EITHER:
+        if self.semantics.topic_check == "either":
             return [self._steps.get(action, []) for action in ("publish", "subscribe")]
         return [self._named] if self.semantics.topic_check else []
 

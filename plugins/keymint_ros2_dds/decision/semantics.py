@@ -12,7 +12,6 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
-from enum import StrEnum
 from typing import Any, Literal
 
 from comarmor.patterns.tokens import Dialect
@@ -35,25 +34,14 @@ def unless_blank(text: str) -> str:
     return text if text.strip(BLANKS) else ""
 
 
-class Parser(StrEnum):
-    """Whose parser reads a document: the standard accepts what its schema allows (DDS Security 1.1, 9.4.1)."""
+Parser = Literal["the schema", "Cyclone DDS", "Fast DDS"]
+"""Whose parser reads a document: the standard accepts what its schema allows (DDS Security 1.1, 9.4.1)."""
+TopicCheck = Literal["", "first", "either"]
+"""Which criteria decide whether a topic may be created, whatever the partitions; the standard asks endpoints only.
 
-    STANDARD = "the schema"
-    CYCLONE = "Cyclone DDS"
-    FAST = "Fast DDS"
-
-
-class TopicCheck(StrEnum):
-    """Which criteria decide whether a topic may be created, whatever the partitions; the standard asks endpoints only.
-
-    ``EITHER``: the first ones that match it for publishing, or those for subscribing, allow it.
-    """
-
-    NONE = ""
-    FIRST = "the first criteria that match it, in any direction"
-    EITHER = "the first criteria that match it in either direction"
-
-
+``first``: the first ones that match it, in any direction. ``either``: the first ones that match it for publishing, or
+those for subscribing, allow it.
+"""
 Evidence = Literal["specified", "measured", "from sources"]
 """How the semantics of an implementation are known."""
 BEGINNING_OF_TIME = datetime.min.replace(tzinfo=UTC)
@@ -86,7 +74,7 @@ class Semantics(Data):
         keys_in_tokens: a private key may be the URI of one in a token (DDS Security 1.1, 9.3.1).
     """
 
-    parser: Parser = Parser.STANDARD
+    parser: Parser = "the schema"
     selects: Callable[[str, str], bool] = subject_names.same_name
     passes_over_invalid: bool = True
     date: Callable[[str], datetime | None] = dialects.standard_date
@@ -100,7 +88,7 @@ class Semantics(Data):
     first_topic_decides: bool = False
     deny_default: bool = False
     deny_topic: bool = False
-    topic_check: TopicCheck = TopicCheck.NONE
+    topic_check: TopicCheck = ""
     tags_count: bool = True
     needs_rule_to_join: bool = False
     topic_rules_both_ways: bool = False
@@ -114,11 +102,11 @@ class Semantics(Data):
 
         Decision lists of ``EITHER`` are those of one direction, which permit too little: without the check too much.
         """
-        return (self, replace(self, topic_check=TopicCheck.NONE)) if self.topic_check is TopicCheck.EITHER else (self,)
+        return (self, replace(self, topic_check="")) if self.topic_check == "either" else (self,)
 
     def refusal(self, document: PermissionsDocument | GovernanceDocument) -> str:
         """Return why the parser refuses a document, in one line with its place; or an empty text."""
-        if self.parser is Parser.STANDARD:
+        if self.parser == "the schema":
             return document.defect
         quirk = self._first(document, CRASHES, REFUSES)
         if quirk is None or self.unmodelled(document):
@@ -129,14 +117,14 @@ class Semantics(Data):
 
     def unmodelled(self, document: PermissionsDocument | GovernanceDocument) -> str:
         """Return why it is not known how the parser reads a document, or an empty text."""
-        quirk = None if self.parser is Parser.STANDARD else self._first(document, UNMODELLED)
+        quirk = None if self.parser == "the schema" else self._first(document, UNMODELLED)
         return f"{document.place(quirk.line)}: how {self.parser} reads {quirk.text} is not modelled" if quirk else ""
 
     def _first(self, document: PermissionsDocument | GovernanceDocument, *readings: VendorReading) -> Quirk | None:
         return next((quirk for quirk in document.quirks if self._reading(quirk) in readings), None)
 
     def _reading(self, quirk: Quirk) -> VendorReading:
-        return quirk.cyclone if self.parser is Parser.CYCLONE else quirk.fast
+        return quirk.cyclone if self.parser == "Cyclone DDS" else quirk.fast
 
     def grants(self, document: PermissionsDocument, subject_name: str) -> Sequence[DocumentGrant]:
         """Return the grants that may apply to an identity, in the order of the document."""
@@ -236,9 +224,9 @@ CYCLONE_DEVIATIONS = (
     _on("6", "deny-default-partition", "a deny rule without partitions applies to the default partition only",
         deny_default=True),
     _on("9", "topic-check", "the first rule that names a topic decides whether it exists, whatever its direction",
-        topic_check=TopicCheck.FIRST),
+        topic_check="first"),
     _on("11", "strictness", "domain ids above 230, foreign attributes, and incomplete ranges are refused",
-        parser=Parser.CYCLONE),
+        parser="Cyclone DDS"),
     _on("12", "min-only", "a range of domains with a minimum alone is that one domain", min_only_is_exact=True),
     _on("15", "late-dates", "a date that does not fit 64 bits of nanoseconds, or is none, is over",
         date=dialects.cyclone_date, no_beginning_holds=True),
@@ -261,7 +249,7 @@ FAST_DEVIATIONS = (
     _on("7", "deny-topic", "a deny rule denies the topic in every partition, also if it lists some", deny_topic=True),
     _on("10", "domains-unused", "rules of other domains count as well in local checks", domains_count=False),
     _on("11", "strictness", "a grant without a name or default, and empty lists, are refused",
-        parser=Parser.FAST),
+        parser="Fast DDS"),
     _on("12", "min-only", "a range of domains with a minimum alone is that one domain", min_only_is_exact=True),
     _on("14", "zone-ignored", "the zone of a date is ignored", date=dialects.fast_date),
     _on("16", "blank-text", "a text of white space alone is empty", reads_text=unless_blank),
@@ -280,7 +268,7 @@ _OF_CYCLONE_11 = {
     "1": _on("1", "trimmed-subject-tokens", "as in 0.10, but blanks around the parts of a name do not count",
         selects=subject_names.trimmed_parts_occur),
     "9": _on("9", "topic-check-either", "a topic exists if publishing or subscribing is allowed by its first rule",
-        topic_check=TopicCheck.EITHER),
+        topic_check="either"),
 }  # fmt: skip
 CYCLONE_11_DEVIATIONS = tuple(_OF_CYCLONE_11.get(each.row, each) for each in CYCLONE_DEVIATIONS)
 FAST_2_11_DEVIATIONS = (

@@ -21,7 +21,7 @@ from comarmor.patterns.glob import EVERYTHING, Glob, matches, parse
 from comarmor.patterns.tokens import charset
 from comarmor.rules import Effect
 from comarmor.values import Data, replace
-from keymint_ros2_dds.decision.semantics import Semantics, TopicCheck
+from keymint_ros2_dds.decision.semantics import Semantics
 from keymint_ros2_dds.lowering.lowered_rules import Lowered, Partitions
 from keymint_ros2_dds.lowering.name_mapping import TopicAction
 from keymint_ros2_dds.proving import octets
@@ -83,7 +83,7 @@ def of_grant(
     lists = [(*_endpoints(rules, action, semantics, pairs=pairs), *default)]
     if semantics.topic_check:
         # The first criteria that match the topic decide, of one direction or any.
-        either = semantics.topic_check is TopicCheck.EITHER
+        either = semantics.topic_check == "either"
         actions = {action} if either else {*TopicAction} - {TopicAction.RELAY}
         naming = ((rule.allows, each.topics) for rule in rules for each in rule.criteria if each.action in actions)
         topics = ((allows, _read(expressions, semantics)) for allows, expressions in naming)

@@ -18,7 +18,7 @@ from functools import lru_cache
 
 from comarmor.patterns.decision_lists import Universe
 from comarmor.patterns.glob import Glob, normalise, parse
-from comarmor.patterns.tokens import Dialect, Undefined, charset
+from comarmor.patterns.tokens import Dialect, charset
 from comarmor.text import lazy_regex
 from comarmor.values import replace
 from keymint.ir import Rule, SubjectRules
@@ -76,7 +76,7 @@ def read(expressions: tuple[str, ...], dialect: Dialect) -> tuple[Glob, ...]:
         if not joined.isascii():
             expressions = tuple(map(dialects.in_bytes, expressions))
         return tuple((text,) if text else () for text in dict.fromkeys(expressions))
-    strict = replace(dialect, errors=frozenset({Undefined.UNKNOWN_CLASS, Undefined.COLLATION}))
+    strict = replace(dialect, errors=frozenset({"unknown class", "collation"}))
     patterns = dict.fromkeys([parse(expression, strict) for expression in expressions])
     return tuple(patterns) if joined.isascii() else tuple(dict.fromkeys(map(of_glob, patterns)))
 

@@ -18,7 +18,7 @@ from keymint.api import Claim, ComparisonTask, ExcessRights, Holder, Presentable
 from keymint.errors import KeymintError
 from keymint.pki import distinguished_names
 from keymint_ros2_dds import subject_names
-from keymint_ros2_dds.decision.semantics import STANDARD, VARIATIONS, Semantics, TopicCheck, shipped_models
+from keymint_ros2_dds.decision.semantics import STANDARD, VARIATIONS, Semantics, shipped_models
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.lowering.lowered_rules import lower
 from keymint_ros2_dds.proving.claims import prove_document
@@ -158,7 +158,7 @@ def _alike(chosen: Mapping[str, Sequence[DocumentGrant]], name: str, other: str)
 def _rights(name: str, *, without_check: bool) -> Semantics:
     """Return the semantics of a model without what chooses a grant, and perhaps without the topic check."""
     semantics = _SEMANTICS[name]
-    check = TopicCheck.NONE if without_check else semantics.topic_check
+    check = "" if without_check else semantics.topic_check
     return replace(semantics, selects=STANDARD.selects, topic_check=check)
 
 

@@ -3,7 +3,7 @@
 
 Expressions are read in a dialect of ``fnmatch``. All dialects compare bytes, as the vendors do in the C locale: text is
 encoded as UTF-8, and each byte is one character. No expression is an error: see
-:class:`comarmor.patterns.tokens.Undefined`. The dates of a grant's validity are ``xs:dateTime``; one that is invalid is
+:data:`comarmor.patterns.tokens.Undefined`. The dates of a grant's validity are ``xs:dateTime``; one that is invalid is
 read as None.
 
 The models of vendors hold for plain documents: what the schema allows, as elements and text. Comments between elements,
