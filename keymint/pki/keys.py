@@ -73,7 +73,7 @@ def curve_name(text: str, where: Origin | None = None) -> str:
     Raises:
         KeymintError: the curve is not known; says which is near.
     """
-    plain = re.sub(r"[-_ ]", "", text).upper()
+    plain = text.replace("-", "").replace("_", "").replace(" ", "").upper()
     name = _CURVE_ALIASES.get(plain, plain)
     if name in CURVES:
         return name

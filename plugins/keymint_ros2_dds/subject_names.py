@@ -218,7 +218,7 @@ def _cut(text: str, marks: str) -> tuple[str, str, bool]:
 
 
 def _unquoted(text: str) -> str:
-    return re.sub(r'["\\]', "", text.strip(" "))
+    return text.strip(" ").replace('"', "").replace("\\", "")
 
 
 def tokens(name: str) -> frozenset[str]:
