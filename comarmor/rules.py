@@ -12,6 +12,7 @@ from enum import StrEnum
 from types import MappingProxyType
 
 from comarmor.errors import Origin
+from comarmor.text import lazy_regex
 from comarmor.values import Data
 
 
@@ -138,6 +139,7 @@ _RAW_FORMS = {
     ("rr/", "Reply"): ("ros_execute", "ros_call"),
 }
 """Prefix and suffix of the raw topics of topics and services, and what gives the permissions on a raw topic."""
+_FULLY_QUALIFIED = lazy_regex(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
 
 
 def of_raw_topic(permission: str, name: str) -> tuple[str, str, str] | None:
@@ -156,7 +158,7 @@ def is_segment(text: str) -> bool:
 
 def is_fully_qualified(name: str) -> bool:
     """Whether a text is a legal fully qualified ROS name, e.g. ``/robot1/talker``."""
-    return name.startswith("/") and all(map(is_segment, name[1:].split("/")))
+    return _FULLY_QUALIFIED.fullmatch(name) is not None
 
 
 def is_subject(name: str) -> bool:
