@@ -153,7 +153,7 @@ def union_covers(outers: tuple[Glob, ...], inner: Glob) -> bool:
 
 @step_counting_cache
 def _union_covers(outers: tuple[Glob, ...], inner: Glob) -> bool | None:
-    if is_empty(inner):
+    if inner in outers or is_empty(inner):
         return True
     if (text := literal(inner)) is not None:
         return any(matcher(outer)(text) for outer in outers)
