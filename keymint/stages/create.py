@@ -67,7 +67,7 @@ def plan_init(
             code="profile-lost",
         )
     files = inputs.plugins.profile_type(profile_type).bootstrap(request)
-    missing = {path: File(content) for path, content in sorted(files.items()) if inputs.tree.read(root / path) is None}
+    missing = {path: File(new) for path, new in sorted(files.items()) if inputs.tree.read(f"{root}/{path}") is None}
     folders = by_folder(root, missing)
     # The marker makes the folder a workspace, so it is the last file to be written.
     changes = [FolderChange(folder, new) for folder, new in folders.items() if folder != root]

@@ -89,11 +89,11 @@ def secret_file(path: Path | str, content: bytes | Callable[[], Iterable[bytes]]
 
 def by_folder(root: Path, files: Mapping[str, File]) -> dict[Path, dict[str, File]]:
     """Return files, given by path relative to a folder, by the folder that each lies in."""
-    folders: dict[Path, dict[str, File]] = {}
+    folders: dict[str, dict[str, File]] = {}
     for path, file in files.items():
         inner, _, name = path.rpartition("/")
-        folders.setdefault(root / inner if inner else root, {})[name] = file
-    return folders
+        folders.setdefault(inner, {})[name] = file
+    return {root / inner if inner else root: own for inner, own in folders.items()}
 
 
 class DocumentSize(Data):
