@@ -77,8 +77,9 @@ class _Element(etree.ElementBase):
     @property
     def place(self) -> tuple[int, int]:
         """Line and column from 1, as expat counted them."""
-        own = getattr(self, "at", 0)
-        if not own:  # then no element of the document has its place yet
+        # Of a document that is refused for its root, no other place is asked: then each would take memory for nothing.
+        own = getattr(self, "at", 0) or next(iter(getattr(self, "places", ())), 0)
+        if not own:  # then no other element of the document has its place yet
             root: Any = self.getroottree().getroot()
             elements: list[Any] = list(root.iter())
             for element, at in zip(elements, getattr(root, "places", ()), strict=False):

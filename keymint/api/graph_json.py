@@ -135,7 +135,7 @@ class _GraphReader:
             self._document: Any = json.loads(self._text, parse_constant=_refuse_constant, object_pairs_hook=_unique)
         except json.JSONDecodeError as error:
             message = f"not JSON: {error.msg[:1].lower()}{error.msg[1:]}"
-            raise self._error(message, error.lineno, "'keymint discover' writes a graph (docs/graph.md)") from None
+            raise self._error(message, error.lineno, "name a file of 'keymint discover' (docs/graph.md)") from None
         except RecursionError:
             raise self._error("nested too deeply for a graph", 0) from None
         except ValueError as error:
