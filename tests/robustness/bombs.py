@@ -188,6 +188,7 @@ def signed(one: bytes) -> Bombs:
     head, _, rest = one.partition(b"<dds")
     return {
         "elements": lambda: head + b"<dds>" + b"<a/>" * 990_000 + rest,
+        "elements within the limit": lambda: head + b"<dds>" + b"<a/>" * 490_000 + rest,
         "attributes": lambda: head + b"<dds " + b" ".join(b"a%x=''" % at for at in range(1_300_000)) + b">" + rest,
         "headers": lambda: filled("a: b\n"),
         "folded headers": lambda: filled(" \n", "Content-Type: text/plain;\n"),

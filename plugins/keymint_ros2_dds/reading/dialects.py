@@ -27,9 +27,9 @@ from comarmor.errors import ComArmorError, Diagnostic
 from comarmor.patterns.glob import parse, regex
 from comarmor.patterns.tokens import SPECIAL, Dialect
 from comarmor.text import lazy_regex
-from comarmor.values import Data
+from comarmor.values import Data, replace
 from comarmor.xml import schema
-from comarmor.xml.reader import line
+from comarmor.xml.reader import LIMITS, line
 from keymint_ros2_dds.domains import MAX_DOMAIN
 
 STANDARD = Dialect()
@@ -58,6 +58,8 @@ def translate(pattern: str, dialect: Dialect) -> str:
 
 _DATE = lazy_regex(r"(-?\d{4,})-(\d\d)-(\d\d)T(\d\d):(\d\d):(\d\d)(?:\.\d+)?(?:Z|([+-])(\d\d):(\d\d))?", re.ASCII)
 _LAST_OF_CYCLONE = datetime(2262, 4, 11, 23, 47, 16, tzinfo=UTC)
+DOCUMENT_LIMITS = replace(LIMITS, nodes=500_000)
+"""Limits of a signed document, whose reader asks for places, each of which takes as much memory as an element."""
 BLANKS = " \t\v\r\n"
 """White space of XML, as Cyclone DDS trims it."""
 _FIRST, _LAST = datetime.min.replace(tzinfo=UTC), datetime.max.replace(tzinfo=UTC)

@@ -157,7 +157,7 @@ def read(content: bytes, file: str = GOVERNANCE_XML, offset: int = 0) -> Governa
 # Enclaves usually have the same governance.
 @lru_cache(maxsize=64)
 def _read(content: bytes) -> GovernanceDocument:
-    root = parse(content, GOVERNANCE_XML)
+    root = parse(content, GOVERNANCE_XML, limits=dialects.DOCUMENT_LIMITS)
     if root.tag != "dds" or root.find("domain_access_rules") is None:
         where = Origin(GOVERNANCE_XML, line(root))
         raise KeymintError("this is not a governance document", where=where, code="document-kind")

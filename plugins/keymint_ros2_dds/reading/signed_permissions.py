@@ -144,7 +144,7 @@ def read(content: bytes, file: str = "permissions.xml", offset: int = 0) -> Perm
     if (plain := _plain(content)) is not None:
         return PermissionsDocument(file, plain, (), (), None, offset)
     try:
-        root = parse(content, file)
+        root = parse(content, file, limits=dialects.DOCUMENT_LIMITS)
         if root.tag != "dds" or root.find("permissions") is None:
             where = Origin(file, line(root))
             raise KeymintError("this is not a permissions document", where=where, code="document-kind")

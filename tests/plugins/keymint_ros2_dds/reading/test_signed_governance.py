@@ -3,7 +3,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
+from keymint_ros2_dds.reading import dialects, signed_permissions
 from keymint_ros2_dds.reading.signed_governance import GovernanceDocument, read
 
 from keymint.errors import KeymintError
@@ -103,3 +106,10 @@ def test_quirks(old: str, new: str, text: str) -> None:
     found = read(("<!-- c -->\n" + USUAL.replace(old, new)).encode())
     assert [(quirk.line, quirk.text.startswith(text)) for quirk in found.quirks] == [(2, True)]
     assert read(("<!-- c -->\n" + USUAL).encode()).quirks == ()
+
+
+@pytest.mark.parametrize("reader", [read, signed_permissions.read])
+def test_a_document_has_fewer_elements_than_a_policy(reader: Callable[[bytes], object]) -> None:
+    with pytest.raises(KeymintError) as refused:
+        reader(b"<dds>" + b"<a/>" * dialects.DOCUMENT_LIMITS.nodes + b"</dds>")
+    assert refused.value.diagnostics[0].code == "xml-limit"
