@@ -100,7 +100,7 @@ class Semantics(Data):
     def bounds(self) -> tuple[Semantics, ...]:
         """Semantics between which these lie where lists that must all permit cannot express them; else these alone.
 
-        Decision lists of ``EITHER`` are those of one direction, which permit too little: without the check too much.
+        Decision lists of ``either`` are those of one direction, which permit too little: without the check too much.
         """
         return (self, replace(self, topic_check="")) if self.topic_check == "either" else (self,)
 
