@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from datetime import UTC
+from datetime import UTC, datetime
 from functools import lru_cache
 from types import MappingProxyType
 
@@ -27,6 +27,18 @@ HASHES: Mapping[str, Hash] = MappingProxyType(
 """Hash algorithms of certificates. The others than SHA256 are for keys that only some software accepts."""
 _MAX_SERIAL = 1 << 159
 """Exclusive: 20 octets, positive (RFC 5280, 4.1.2.2)."""
+_FIRST_YEAR, _FIRST_LONG_YEAR = 1950, 2050
+_TRUE = der.tlv(der.BOOLEAN, b"\xff")
+_OIDS = x509.SignatureAlgorithmOID
+_ALGORITHMS = {
+    ("ec", "sha256"): der.tlv(der.SEQUENCE, der.oid(_OIDS.ECDSA_WITH_SHA256.dotted_string)),
+    ("ec", "sha384"): der.tlv(der.SEQUENCE, der.oid(_OIDS.ECDSA_WITH_SHA384.dotted_string)),
+    ("ec", "sha512"): der.tlv(der.SEQUENCE, der.oid(_OIDS.ECDSA_WITH_SHA512.dotted_string)),
+    ("rsa", "sha256"): der.tlv(der.SEQUENCE, der.oid(_OIDS.RSA_WITH_SHA256.dotted_string), der.tlv(der.NULL)),
+    ("rsa", "sha384"): der.tlv(der.SEQUENCE, der.oid(_OIDS.RSA_WITH_SHA384.dotted_string), der.tlv(der.NULL)),
+    ("rsa", "sha512"): der.tlv(der.SEQUENCE, der.oid(_OIDS.RSA_WITH_SHA512.dotted_string), der.tlv(der.NULL)),
+}
+"""AlgorithmIdentifiers of signatures by the kind of key and the hash (RFC 5758, 3.2; RFC 4055, 5)."""
 _SIGNS_DOCUMENTS = (ExtendedKeyUsageOID.EMAIL_PROTECTION, ExtendedKeyUsageOID.ANY_EXTENDED_KEY_USAGE)
 """Extended key usages with which OpenSSL lets a key sign S/MIME (purpose smimesign)."""
 
@@ -52,18 +64,57 @@ class Form(Data):
             public_key: the key to certify.
             signing_key: the issuer's private key.
         """
-        builder = (
-            x509.CertificateBuilder()
-            .issuer_name(self.issuer)
-            .subject_name(self.subject)
-            .public_key(public_key)
-            .serial_number(x509.random_serial_number() if serial is None else serial)
-            .not_valid_before(self.validity.not_before)
-            .not_valid_after(self.validity.not_after)
+        number = x509.random_serial_number() if serial is None else serial
+        algorithm = signature_algorithm(signing_key, self.hash_algorithm)
+        period = map(_time, (self.validity.not_before, self.validity.not_after))
+        fields = (
+            der.tlv(der.CONTEXT_0, der.tlv(der.INTEGER, b"\2")),  # version 3
+            _serial(number),
+            algorithm,
+            self.issuer.public_bytes(),
+            der.tlv(der.SEQUENCE, *period),
+            self.subject.public_bytes(),
+            keys.public_der(public_key),
+            der.tlv(der.CONTEXT_3, der.tlv(der.SEQUENCE, *map(_extension, self.extensions.items()))),
         )
-        for critical, value in self.extensions.values():
-            builder = builder.add_extension(value, critical)
-        return builder.sign(signing_key, self.hash_algorithm)
+        body = der.tlv(der.SEQUENCE, *fields if self.extensions else fields[:-1])
+        return x509.load_der_x509_certificate(_with_signature(body, algorithm, signing_key, self.hash_algorithm))
+
+
+def signature_algorithm(key: keys.PrivateKey | keys.PublicKey, digest: hashes.HashAlgorithm) -> bytes:
+    """Return the AlgorithmIdentifier, in DER, of a signature of a key: see :func:`keymint.pki.keys.signature_over`.
+
+    Args:
+        key: the key, or its public half.
+        digest: one of :data:`HASHES`.
+    """
+    return _ALGORITHMS[keys.kind_of(key).algorithm, digest.name]
+
+
+def _time(moment: datetime) -> bytes:
+    """Return a time as it is encoded in a certificate (RFC 5280, 4.1.2.5)."""
+    if moment.year < _FIRST_YEAR:
+        raise ValueError(f"{moment:%Y} is before {_FIRST_YEAR}")
+    if moment.year < _FIRST_LONG_YEAR:
+        return der.tlv(der.UTC_TIME, f"{moment:%y%m%d%H%M%SZ}".encode())
+    return der.tlv(der.GENERALIZED_TIME, f"{moment:%Y%m%d%H%M%SZ}".encode())
+
+
+def _extension(extension: tuple[x509.ObjectIdentifier, tuple[bool, x509.ExtensionType]]) -> bytes:
+    """Return an extension in DER (RFC 5280, 4.1); that it is not critical is the default, which DER leaves out."""
+    oid, (critical, value) = extension
+    encoded = der.tlv(der.OCTET_STRING, value.public_bytes())
+    return der.tlv(der.SEQUENCE, der.oid(oid.dotted_string), *[_TRUE] * critical, encoded)
+
+
+def _serial(number: int) -> bytes:
+    return der.tlv(der.INTEGER, number.to_bytes(number.bit_length() // 8 + 1, "big"))
+
+
+def _with_signature(body: bytes, algorithm: bytes, key: keys.PrivateKey, digest: hashes.HashAlgorithm) -> bytes:
+    """Return a certificate in DER, of the TBSCertificate and the AlgorithmIdentifier of its signature."""
+    signature = keys.signature_over(body, key, digest)
+    return der.tlv(der.SEQUENCE, body, algorithm, der.tlv(der.BIT_STRING, b"\0", signature))
 
 
 def form(
@@ -141,10 +192,8 @@ class CommonParts(Data):
             signer: the issuer's private key.
         """
         serial = x509.random_serial_number()
-        number = der.tlv(der.INTEGER, serial.to_bytes(serial.bit_length() // 8 + 1, "big"))
-        body = der.tlv(der.SEQUENCE, self.version, number, self._after_serial(subject, public))
-        signature = keys.signature_over(body, signer, self.digest)
-        return der.tlv(der.SEQUENCE, body, self.algorithm, der.tlv(der.BIT_STRING, b"\0", signature)), serial
+        body = der.tlv(der.SEQUENCE, self.version, _serial(serial), self._after_serial(subject, public))
+        return _with_signature(body, self.algorithm, signer, self.digest), serial
 
     def are_in(self, content: bytes, subject: bytes, public: bytes, issuer: keys.PublicKey) -> bool:
         """Return whether a certificate has these parts, a serial number, what is given, and nothing else.

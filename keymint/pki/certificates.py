@@ -11,7 +11,6 @@ from typing import cast
 
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
-from cryptography.hazmat.primitives import serialization
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from comarmor.text import lazy_regex, quote
@@ -37,9 +36,8 @@ UNREADABLE = (
 )
 """What the library raises on a damaged certificate or revocation list."""
 _CERTIFICATE, _LIST = b"CERTIFICATE", b"X509 CRL"
-BEGIN = b"-----BEGIN CERTIFICATE-----"
+BEGIN = b"-----BEGIN %b-----" % _CERTIFICATE
 """What a certificate in PEM begins with."""
-_PEM = BEGIN + b"\n%b-----END CERTIFICATE-----\n"
 _BLOCK = lazy_regex(rb"^-----BEGIN (%b|%b)-----\n[^-]*^-----END \1-----$" % (_CERTIFICATE, _LIST), re.MULTILINE)
 """A certificate, or a revocation list, which may follow the certificates of authorities in their file."""
 
@@ -143,7 +141,7 @@ def _parsed(pem: bytes) -> tuple[x509.Certificate, ...]:
         # The library parses lazily: touch every part, so that damage is detected here.
         _ = certificate.extensions, certificate.subject, certificate.issuer, certificate.public_key()
         _ = period(certificate), certificate.signature_hash_algorithm
-        if not certificate.public_bytes(serialization.Encoding.DER).endswith(b"\0" + certificate.signature):
+        if not der.der_of(certificate).endswith(b"\0" + certificate.signature):
             raise ValueError("unused bits of a signature, which no signature covers")
     return certificates
 
@@ -168,12 +166,12 @@ def fingerprint(certificate: x509.Certificate) -> str:
 
 def to_pem(certificate: x509.Certificate) -> bytes:
     """Return a certificate as PEM."""
-    return certificate.public_bytes(serialization.Encoding.PEM)
+    return pem_of(der.der_of(certificate))
 
 
 def pem_of(content: bytes) -> bytes:
     """Return a certificate in DER as PEM, as :func:`to_pem` writes it."""
-    return _PEM % der.base64_lines(content)
+    return der.pem(_CERTIFICATE, content)
 
 
 def period(certificate: x509.Certificate) -> tuple[datetime, datetime]:
@@ -182,8 +180,15 @@ def period(certificate: x509.Certificate) -> tuple[datetime, datetime]:
 
 
 def is_issued_by(certificate: x509.Certificate, issuer: x509.Certificate) -> bool:
-    """Return whether a certificate names an issuer and has the signature of its key."""
+    """Return whether a certificate names an issuer and has the signature of its key (RFC 5280, 6.1.3 and 4.1.1.2)."""
+    key, digest = issuer.public_key(), certificate.signature_hash_algorithm
     try:
+        if isinstance(key, keys.PublicKey) and isinstance(digest, certificate_forms.Hash):
+            expected = certificate_forms.signature_algorithm(key, digest)
+            body, algorithm, _ = der.elements(der.single(der.der_of(certificate), der.SEQUENCE))
+            if algorithm == expected and expected in der.elements(der.single(body, der.SEQUENCE)):
+                is_named = certificate.issuer.public_bytes() == issuer.subject.public_bytes()
+                return is_named and keys.verifies(certificate.signature, body, key, digest)
         certificate.verify_directly_issued_by(issuer)
     except (ValueError, TypeError, InvalidSignature):
         return False

@@ -12,7 +12,7 @@ import hashlib
 from typing import cast
 
 from cryptography import x509
-from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
 
 from comarmor.values import Data
@@ -192,7 +192,7 @@ def identity_of(certificate: x509.Certificate) -> tuple[bytes, bytes]:
     """Return a certificate in DER, and how a signature names it: IssuerAndSerialNumber (RFC 5652, 10.2.4)."""
     fields = der.elements(der.single(certificate.tbs_certificate_bytes, der.SEQUENCE))
     serial, _, issuer = fields[1:4] if fields[0][0] == der.CONTEXT_0 else fields[:3]
-    return certificate.public_bytes(serialization.Encoding.DER), der.tlv(der.SEQUENCE, issuer, serial)
+    return der.der_of(certificate), der.tlv(der.SEQUENCE, issuer, serial)
 
 
 def _attributes_match(signature: Signature, text: bytes) -> bool:

@@ -7,11 +7,14 @@ strict: it refuses every encoding but the canonical one, so that an altered byte
 
 from __future__ import annotations
 
+import hashlib
 import struct
 from binascii import b2a_base64
 
 from cryptography import x509
+from cryptography.hazmat.primitives import hashes
 
+BOOLEAN = 0x01
 INTEGER = 0x02
 BIT_STRING = 0x03
 OCTET_STRING = 0x04
@@ -19,9 +22,13 @@ NULL = 0x05
 UTF8_STRING = 0x0C
 PRINTABLE_STRING = 0x13
 IA5_STRING = 0x16
+UTC_TIME = 0x17
+GENERALIZED_TIME = 0x18
 SEQUENCE = 0x30
 SET = 0x31
 CONTEXT_0 = 0xA0
+CONTEXT_1 = 0xA1
+CONTEXT_3 = 0xA3
 BASE64_LINE = 64
 """Characters of base64 on a line of PEM (RFC 7468, section 2) and of Keymint's S/MIME."""
 
@@ -46,6 +53,27 @@ def base64_lines(content: bytes) -> bytes:
     whole, rest = divmod(len(text), BASE64_LINE)
     lines = struct.unpack(f"{f'{BASE64_LINE}s' * whole}{rest}s", text)  # the last one is empty if there is no rest
     return b"\n".join((*lines, b"") if rest else lines)
+
+
+def pem(label: bytes, content: bytes) -> bytes:
+    """Return a content as PEM (RFC 7468), such as that of a ``CERTIFICATE``."""
+    return b"-----BEGIN %b-----\n%b-----END %b-----\n" % (label, base64_lines(content), label)
+
+
+def der_of(signed: x509.Certificate | x509.CertificateRevocationList) -> bytes:
+    """Return a certificate or a revocation list in DER.
+
+    It is put together from its parts, and the library's digest of it tells whether each byte is right. What the library
+    has for it loads the readers of all keys, see :mod:`~keymint.pki.key_encodings`.
+    """
+    body = signed.tbs_certificate_bytes if isinstance(signed, x509.Certificate) else signed.tbs_certlist_bytes
+    algorithm = next(each for each in elements(single(body, SEQUENCE)) if each[0] == SEQUENCE)
+    made = tlv(SEQUENCE, body, algorithm, tlv(BIT_STRING, b"\0", signed.signature))
+    if hashlib.sha256(made).digest() == signed.fingerprint(hashes.SHA256()):
+        return made
+    from cryptography.hazmat.primitives.serialization import Encoding  # noqa: PLC0415 - few have an odd encoding
+
+    return signed.public_bytes(Encoding.DER)
 
 
 def oid(dotted: str) -> bytes:

@@ -11,26 +11,24 @@ from __future__ import annotations
 
 import base64
 import binascii
-import functools
 import hashlib
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from types import MappingProxyType
-from typing import cast
 
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
-from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec, padding, rsa
 
 from comarmor.text import did_you_mean, lazy_regex
 from keymint.api import KeySpec
 from keymint.errors import KeymintError, Origin
-from keymint.pki import der
+from keymint.pki import der, key_encodings
 
-PrivateKey = ec.EllipticCurvePrivateKey | rsa.RSAPrivateKey
-PublicKey = ec.EllipticCurvePublicKey | rsa.RSAPublicKey
+PrivateKey = key_encodings.PrivateKey
+PublicKey = key_encodings.PublicKey
 
 # Spelled out: no text from a file ever names an attribute of a library.
 CURVES: Mapping[str, ec.EllipticCurve] = MappingProxyType(
@@ -104,8 +102,29 @@ _known_ecdsa: dict[str, ec.ECDSA] = {}
 """By the hash algorithm: to make one takes a twentieth of a signature."""
 
 
+class _Ecdsa(ec.ECDSA):
+    """ECDSA as in FIPS 186-5, 6.4, with a random number for each signature.
+
+    The class above loads all ciphers, to find out whether that number can be derived from what is signed.
+
+    Args:
+        digest: the hash algorithm.
+    """
+
+    def __init__(self, digest: hashes.HashAlgorithm) -> None:
+        self._digest = digest
+
+    @property
+    def algorithm(self) -> hashes.HashAlgorithm:
+        return self._digest
+
+    @property
+    def deterministic_signing(self) -> bool:
+        return False
+
+
 def _ecdsa(digest: hashes.HashAlgorithm) -> ec.ECDSA:
-    return _known_ecdsa.get(digest.name) or _known_ecdsa.setdefault(digest.name, ec.ECDSA(digest))
+    return _known_ecdsa.get(digest.name) or _known_ecdsa.setdefault(digest.name, _Ecdsa(digest))
 
 
 def signature_over(data: bytes, key: PrivateKey, digest: hashes.HashAlgorithm) -> bytes:
@@ -148,8 +167,7 @@ def key_description(spec: KeySpec) -> str:
 
 def to_pem(key: PrivateKey, password: bytes | None = None) -> bytes:
     """Return a private key as PKCS #8 PEM, encrypted (PBES2, AES-256) if a password is given."""
-    encryption = serialization.BestAvailableEncryption(password) if password else serialization.NoEncryption()
-    pem = key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, encryption)
+    pem = key_encodings.private_pem(key, password)
     if not password:
         _remember(pem, key.public_key(), canonical=True)
     return pem
@@ -173,7 +191,7 @@ def from_pem(pem: bytes, password: bytes | None = None, where: Origin | None = N
         raise KeymintError(message, where=where, help=help_, code="key-password")
     try:
         # The library rejects a password for an unencrypted key; for the user that is not an error.
-        key = serialization.load_pem_private_key(pem, password if encrypted else None)
+        key = key_encodings.load_private_pem(pem, password if encrypted else None)
     except (ValueError, TypeError, UnsupportedAlgorithm):
         key = None
     if not isinstance(key, PrivateKey):
@@ -196,12 +214,7 @@ def public_of(pem: bytes, password: bytes | None = None, where: Origin | None = 
     """
     if is_encrypted(pem):
         return from_pem(pem, password, where).public_key()
-    return _from_der(_known(pem, where)[0])
-
-
-@functools.lru_cache(maxsize=1 << 12)
-def _from_der(encoded: bytes) -> PublicKey:
-    return cast("PublicKey", serialization.load_der_public_key(encoded))
+    return key_encodings.load_public_der(_known(pem, where)[0])
 
 
 def _known(pem: bytes, where: Origin | None = None) -> tuple[bytes, bool]:
@@ -241,7 +254,7 @@ def fingerprint_of_file(pem: bytes) -> str:
 
 def public_der(key: PublicKey) -> bytes:
     """Return a public key in DER, SubjectPublicKeyInfo."""
-    return key.public_bytes(serialization.Encoding.DER, serialization.PublicFormat.SubjectPublicKeyInfo)
+    return key_encodings.public_der(key)
 
 
 def is_canonical(pem: bytes) -> bool:
@@ -296,8 +309,10 @@ def public_from_pem(pem: bytes, where: Origin | None = None) -> PublicKey:
     Raises:
         KeymintError: not a public key, or one that is neither EC nor RSA.
     """
+    from cryptography.hazmat.primitives.serialization import load_pem_public_key  # noqa: PLC0415 - few runs need it
+
     try:
-        key = serialization.load_pem_public_key(pem)
+        key = load_pem_public_key(pem)
     except (ValueError, TypeError, UnsupportedAlgorithm):
         key = None
     if not isinstance(key, PublicKey):
@@ -309,7 +324,7 @@ def public_from_pem(pem: bytes, where: Origin | None = None) -> PublicKey:
 
 def public_to_pem(key: PublicKey) -> bytes:
     """Return a public key as PEM; equal keys give equal bytes."""
-    return key.public_bytes(serialization.Encoding.PEM, serialization.PublicFormat.SubjectPublicKeyInfo)
+    return der.pem(b"PUBLIC KEY", public_der(key))
 
 
 # -- the files of other tools -----------------------------------------------------------------------------------------
@@ -358,12 +373,14 @@ def _each(content: bytes) -> Iterator[object | None]:
             if block[1] in _CLOSED:
                 yield None
             else:
-                yield from _loaded(block[0], serialization.load_pem_private_key)
+                yield from _loaded(block[0], key_encodings.load_private_pem)
     elif _PKCS12.match(content):
         yield None
     elif content.startswith(_SEQUENCE):
+        from cryptography.hazmat.primitives.serialization import load_der_private_key  # noqa: PLC0415 - few runs need it
+
         with suppress(ValueError):
-            yield from _loaded(der.first_element(content), serialization.load_der_private_key)
+            yield from _loaded(der.first_element(content), load_der_private_key)
 
 
 def _loaded(encoded: bytes, load: Callable[[bytes, None], object]) -> Iterator[object | None]:

@@ -13,11 +13,10 @@ from datetime import UTC, datetime, timedelta
 from cryptography import x509
 from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives import hashes
-from cryptography.hazmat.primitives.serialization import Encoding
 
 from comarmor.values import Data
 from keymint.errors import KeymintError, Origin
-from keymint.pki import certificates, extensions, periods
+from keymint.pki import certificates, der, extensions, periods
 from keymint.pki.certificates import Issuer
 from keymint.pki.distinguished_names import to_text
 
@@ -116,7 +115,11 @@ def issue(
         if flag := _FLAGS[each.reason]:
             entry = entry.add_extension(x509.CRLReason(flag), critical=False)
         builder = builder.add_revoked_certificate(entry.build())
-    return builder.sign(issuer.key, hashes.SHA256()).public_bytes(Encoding.PEM)
+    return _pem(builder.sign(issuer.key, hashes.SHA256()))
+
+
+def _pem(crl: x509.CertificateRevocationList) -> bytes:
+    return der.pem(b"X509 CRL", der.der_of(crl))
 
 
 def load(pem: bytes, where: Origin) -> RevocationList:
@@ -127,7 +130,7 @@ def load(pem: bytes, where: Origin) -> RevocationList:
     """
     try:
         crl = parse(pem)
-        if crl.public_bytes(Encoding.PEM) != pem:
+        if _pem(crl) != pem:
             raise ValueError
         number = extensions.value(crl, x509.CRLNumber)
         return RevocationList(

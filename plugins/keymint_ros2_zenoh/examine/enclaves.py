@@ -13,7 +13,6 @@ from datetime import timedelta
 from functools import lru_cache
 
 from cryptography import x509
-from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from comarmor.text import quote
@@ -21,7 +20,7 @@ from comarmor.values import replace
 from keymint.api import EnclaveFiles, Inspection, TrustAnchor, ValidityTerm
 from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.names import name_of
-from keymint.pki import certificates, cms, extensions
+from keymint.pki import certificates, cms, der, extensions
 from keymint.pki.examine import IdentityCheck, anchor_defects, certificate_terms
 from keymint_ros2_zenoh.decision import first_common_name, lacking_usage, names_host
 from keymint_ros2_zenoh.documents.configuration import Configuration
@@ -81,7 +80,7 @@ def signature_problem(content: bytes, signature: bytes, authority: bytes) -> str
     signer = certificates.load_first(authority, with_lists=True)
     if cms.verify(parsed, content, signer):
         return ""
-    if parsed.certificate != signer.public_bytes(Encoding.DER):  # compared unread: it may be damaged
+    if parsed.certificate != der.der_of(signer):  # compared unread: it may be damaged
         return "is by another certificate than that of the authority that signs the rights"
     return "is not over the configuration beside it: one of them was altered, or is older than the other"
 

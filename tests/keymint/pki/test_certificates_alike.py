@@ -9,6 +9,7 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 from cryptography import x509
+from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives import serialization
 
 from keymint.api import CertificateSpec, KeySpec, Validity
@@ -101,9 +102,10 @@ def test_they_are_what_the_library_writes(monkeypatch: pytest.MonkeyPatch, opens
         pem = filled(parts, spec.subject_name, key, issuer)
         certificate = certificates.load(pem)
         form = certificate_forms.form(spec, key, issuer.certificate, authority=False)
-        theirs = form.signed(certificate.serial_number, key, issuer.key)
-        assert certificate.tbs_certificate_bytes == theirs.tbs_certificate_bytes, spec
-        assert framed(certificate) == framed(theirs), spec
+        theirs = by_library(form, certificate.serial_number, key, issuer.key)
+        for ours in (certificate, form.signed(certificate.serial_number, key, issuer.key)):
+            assert ours.tbs_certificate_bytes == theirs.tbs_certificate_bytes, spec
+            assert framed(ours) == framed(theirs), spec
         assert pem == certificates.to_pem(certificate)
         assert form.diagnostics == ()
         certificate.verify_directly_issued_by(issuer.certificate)
@@ -115,8 +117,89 @@ def test_they_are_what_the_library_writes(monkeypatch: pytest.MonkeyPatch, opens
             openssl.accepts("verify", "-ignore_critical", "-no_check_time", "-CAfile", "ca", "identity")
 
 
+def by_library(
+    form: certificate_forms.Form, serial: int, key: keys.PublicKey, signer: keys.PrivateKey
+) -> x509.Certificate:
+    builder = (
+        x509.CertificateBuilder()
+        .issuer_name(form.issuer)
+        .subject_name(form.subject)
+        .public_key(key)
+        .serial_number(serial)
+        .not_valid_before(form.validity.not_before)
+        .not_valid_after(form.validity.not_after)
+    )
+    for critical, value in form.extensions.values():
+        builder = builder.add_extension(value, critical)
+    return builder.sign(signer, form.hash_algorithm)
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=str)
+@pytest.mark.parametrize("last", [2049, 2050, 9999])
+def test_an_authority_is_what_the_library_writes(kind: KeySpec, last: int) -> None:
+    key = keys.generate(kind)
+    spec = make_spec("CN=ca", key=kind, validity=period(1950, last), hash_algorithm="SHA512")
+    form = certificate_forms.form(spec, key.public_key(), None, authority=True)
+    bare = replace(form, extensions={})
+    for each in (form, bare):
+        ours, theirs = each.signed(1, key.public_key(), key), by_library(each, 1, key.public_key(), key)
+        assert ours.tbs_certificate_bytes == theirs.tbs_certificate_bytes
+        assert framed(ours) == framed(theirs)
+        assert (certificates.period(ours)) == (form.validity.not_before, form.validity.not_after)
+        assert certificates.is_issued_by(ours, ours)
+
+
+def test_a_year_that_a_certificate_cannot_have_is_no_other_year() -> None:
+    key = keys.generate(P256)
+    spec = make_spec(validity=period(1949, 2040))
+    with pytest.raises(ValueError, match="1950"):
+        certificate_forms.form(spec, key.public_key(), None, authority=True).signed(1, key.public_key(), key)
+
+
+def is_issued(certificate: x509.Certificate, issuer: x509.Certificate) -> bool:
+    try:
+        certificate.verify_directly_issued_by(issuer)
+    except (ValueError, TypeError, InvalidSignature):
+        return False
+    return True
+
+
 @pytest.mark.parametrize("kind", [P256, KINDS[-1]], ids=str)
-def test_each_altered_byte_is_found(kind: KeySpec) -> None:
+def test_an_altered_certificate_is_judged_as_by_the_library(kind: KeySpec) -> None:
+    issuer = new_authority(kind)
+    certificate = certificates.issue(make_spec("CN=/a"), public(), issuer, authority=False).certificate
+    content = certificate.public_bytes(serialization.Encoding.DER)
+    read = 0
+    for place in range(len(content)):
+        for bit in range(8):
+            altered = content[:place] + bytes((content[place] ^ 1 << bit,)) + content[place + 1 :]
+            try:
+                found = x509.load_der_x509_certificate(altered)
+                _ = found.issuer, found.signature_hash_algorithm
+            except certificates.UNREADABLE:
+                continue
+            read += 1
+            assert der.der_of(found) == found.public_bytes(serialization.Encoding.DER) == altered
+            assert certificates.is_issued_by(found, issuer.certificate) == is_issued(found, issuer.certificate), (
+                place,
+                bit,
+            )
+    assert read > len(content)
+    assert certificates.is_issued_by(certificate, issuer.certificate)
+
+
+def test_an_issuer_must_have_the_name_and_the_key(authority: certificates.Issuer, other: certificates.Issuer) -> None:
+    certificate = certificates.issue(make_spec("CN=/a"), public(), authority, authority=False).certificate
+    assert certificates.is_issued_by(certificate, authority.certificate)
+    assert not certificates.is_issued_by(certificate, other.certificate)
+    renamed = make_spec(f"O=x,{authority.certificate.subject.rfc4514_string()}")
+    same_key = certificates.issue(renamed, authority.key.public_key(), authority.key, authority=True).certificate
+    assert not certificates.is_issued_by(certificate, same_key)
+    assert not certificates.is_issued_by(authority.certificate, certificate)
+
+
+@pytest.mark.parametrize("kind", [P256, KINDS[-1]], ids=str)
+def test_each_altered_byte_of_one_alike_is_found(kind: KeySpec) -> None:
     issuer, key = new_authority(kind), public()
     parts = parts_of(certificates.issue(make_spec("CN=/a"), public(), issuer, authority=False))
     pem = filled(parts, "CN=/b", key, issuer)
