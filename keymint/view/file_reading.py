@@ -7,8 +7,8 @@ import errno
 import os
 import stat
 from pathlib import Path
-from typing import NamedTuple
 
+from comarmor.values import Data
 from keymint.errors import KeymintError, Origin
 
 MAX_FILE = 16 * 1024 * 1024
@@ -88,7 +88,7 @@ def file_error(path: Path | str, code: str, message: str, help_: str = "") -> Ke
     return KeymintError(message, where=Origin(str(path)), help=help_, code=code)
 
 
-class FileStatus(NamedTuple):
+class FileStatus(Data):
     """What is asked of the status of a path: fields of :class:`os.stat_result`, which takes four times the memory."""
 
     st_mode: int

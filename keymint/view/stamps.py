@@ -12,7 +12,7 @@ import hashlib
 import itertools
 import json
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 from comarmor.values import Data, field
 
@@ -26,6 +26,8 @@ _DIGEST = 64
 _SIZES = [size.to_bytes(8, "big") for size in range(_DIGEST + 1)]
 _AT_ONCE = 256
 """Lines that are hashed together."""
+_BEFORE_FILES = 3
+"""Texts of a stamp before those of its files: the inputs, the context and the lifetimes."""
 _SEAL, _END = b',"sha256":"', b'"}\n'
 """Text around the digest at the end of a record, which detects damage."""
 
@@ -93,7 +95,7 @@ class Stamp(Data):
         return tuple, (self.row,)
 
 
-class _Form(NamedTuple):
+class _Form(Data):
     """What the stamps of many packages have in common.
 
     Attributes:
@@ -109,8 +111,13 @@ class _Form(NamedTuple):
     build_types: tuple[str, ...]
     texts: tuple[tuple[str, ...], ...]
 
+    @property
+    def values(self) -> tuple[Any, ...]:
+        """The values of its fields."""
+        return self.files, self.secret, self.build_types, self.texts
+
     def __reduce__(self) -> tuple[Any, ...]:
-        return _form_of, tuple(self)
+        return _form_of, self.values
 
 
 @functools.lru_cache(maxsize=64)
@@ -256,7 +263,7 @@ class State(Data):
                     last, own = form, by_form.setdefault(form, ([], []))
                 own[0].append(name)
                 own[1].append(line)
-            stages[stage] = [(*form, names) for form, (names, _) in by_form.items()]
+            stages[stage] = [(*form.values, names) for form, (names, _) in by_form.items()]
             lines += itertools.chain(*(own for _, own in by_form.values()))
         hashed = hashlib.sha256()
         starts = range(0, len(lines), _AT_ONCE)
@@ -307,7 +314,7 @@ def load(content: bytes | None) -> State:
                 files, secret, build_types = (tuple(map(str, some)) for some in names_of_form)
                 form = _Form(files, secret, build_types, tuple(tuple(map(str, pieces)) for pieces in texts))
                 at, start = at + len(names), at
-                if at >= len(lines) or len(form.texts) != len(_Form._fields) - 1 + len(files):
+                if at >= len(lines) or len(form.texts) != _BEFORE_FILES + len(files):
                     return State()
                 own = [(form, line) for line in lines[start:at]]
                 rows.update(zip(map(str, names), own, strict=True))
