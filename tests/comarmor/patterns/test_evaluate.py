@@ -13,7 +13,8 @@ from comarmor.patterns.counterexample_search import CounterexampleSearch
 from comarmor.patterns.decision_lists import Block, Equal, SearchBudget, Universe, Unknown
 from comarmor.patterns.derivatives import Derivatives
 from comarmor.patterns.evaluate import Evaluator, permits
-from comarmor.patterns.proofs import ProductSearch, difference, escapes
+from comarmor.patterns.proofs import difference, escapes
+from comarmor.patterns.searches import ProductSearch
 from comarmor.patterns.tokens import charset
 from tests.effort import tries
 

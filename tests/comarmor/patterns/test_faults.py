@@ -17,7 +17,8 @@ from comarmor.patterns.decision_lists import Block, DecisionList, Equal, SearchB
 from comarmor.patterns.derivatives import Derivatives
 from comarmor.patterns.evaluate import Evaluator
 from comarmor.patterns.glob import normalise, parse
-from comarmor.patterns.proofs import ProductSearch, difference
+from comarmor.patterns.proofs import difference
+from comarmor.patterns.searches import ProductSearch
 from comarmor.patterns.tokens import charset
 from tests.effort import tries
 

@@ -21,7 +21,8 @@ from comarmor.patterns.decision_lists import (
 from comarmor.patterns.derivatives import Derivatives
 from comarmor.patterns.evaluate import permits
 from comarmor.patterns.glob import parse
-from comarmor.patterns.proofs import ProductSearch, difference, escapes
+from comarmor.patterns.proofs import difference, escapes
+from comarmor.patterns.searches import ProductSearch
 from tests.effort import tries
 
 from .small import PRINTABLE, UNIVERSE, WORDS, allow, deny, first_difference, lists, patterns_of
