@@ -111,7 +111,7 @@ class Semantics(Data):
         quirk = self._first(document, CRASHES, REFUSES)
         if quirk is None or self.unmodelled(document):
             return ""
-        crashes = self._reading(quirk) is CRASHES
+        crashes = self._reading(quirk) == CRASHES
         text = f"{quirk.text} crashes {self.parser}" if crashes else f"{self.parser} refuses {quirk.text}"
         return f"{document.place(quirk.line)}: {text}"
 

@@ -8,8 +8,8 @@ read as None.
 
 The models of vendors hold for plain documents: what the schema allows, as elements and text. Comments between elements,
 white space, the order of attributes and the XML declaration make no difference. For other quirks this states what each
-vendor was measured to do. What was not measured for all such documents is :attr:`VendorReading.UNMODELLED`: then
-nothing is claimed of that vendor.
+vendor was measured to do. What was not measured for all such documents is :data:`UNMODELLED`: then nothing is claimed
+of that vendor.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 from datetime import UTC, datetime, timedelta
-from enum import Enum
 from functools import lru_cache
 from operator import attrgetter
+from typing import Literal
 
 from lxml import etree
 
@@ -128,20 +128,16 @@ def _shifted(moment: datetime, by: timedelta) -> datetime:
         return _LAST if by > timedelta() else _FIRST
 
 
-class VendorReading(Enum):
-    """What a vendor does with a document that has a quirk.
+VendorReading = Literal["plain", "refuses", "crashes", "unmodelled"]
+"""What a vendor does with a document that has a quirk.
 
-    ``PLAIN``: it reads the document as if it had none. ``REFUSES``: it refuses the document. ``CRASHES``: its process
-    ends. ``UNMODELLED``: not known.
-    """
-
-    PLAIN = "plain"
-    REFUSES = "refuses"
-    CRASHES = "crashes"
-    UNMODELLED = "unmodelled"
-
-
-PLAIN, REFUSES, CRASHES, UNMODELLED = VendorReading
+``plain``: it reads the document as if it had none. ``refuses``: it refuses the document. ``crashes``: its process ends.
+``unmodelled``: not known.
+"""
+PLAIN: VendorReading = "plain"
+REFUSES: VendorReading = "refuses"
+CRASHES: VendorReading = "crashes"
+UNMODELLED: VendorReading = "unmodelled"
 
 
 class Quirk(Data):
@@ -206,7 +202,7 @@ def quirks_of_bytes(content: bytes, *, comments_until: int | None = None) -> Ite
         match = expression.search(rest)
         if match is not None:
             yield Quirk(rest.count(b"\n", 0, match.start()) + 1, text, cyclone, fast)
-            if cyclone is fast is UNMODELLED:
+            if cyclone == fast == UNMODELLED:
                 return  # what follows may be part of a comment
 
 
