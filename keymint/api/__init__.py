@@ -60,14 +60,8 @@ from keymint.api.packages import (
 )
 from keymint.api.policies import (
     AppliedProfile as AppliedProfile,
-    ExportedPolicy as ExportedPolicy,
-    ImportedPolicy as ImportedPolicy,
-    ImportedSubject as ImportedSubject,
-    ImportRequest as ImportRequest,
-    LearnedPolicy as LearnedPolicy,
     LoadedPolicy as LoadedPolicy,
     PolicyDecision as PolicyDecision,
-    PolicyFormat as PolicyFormat,
     PolicySource as PolicySource,
     PolicyStructure as PolicyStructure,
     PolicyType as PolicyType,
@@ -96,6 +90,14 @@ from keymint.api.proving import (
 )
 
 if TYPE_CHECKING:
+    from keymint.api.exchange import (
+        ExportedPolicy as ExportedPolicy,
+        ImportedPolicy as ImportedPolicy,
+        ImportedSubject as ImportedSubject,
+        ImportRequest as ImportRequest,
+        LearnedPolicy as LearnedPolicy,
+        PolicyFormat as PolicyFormat,
+    )
     from keymint.api.foreign_keystores import (
         AdoptedSources as AdoptedSources,
         FoundAuthority as FoundAuthority,
@@ -134,6 +136,7 @@ if TYPE_CHECKING:
 API_VERSION = "3.0"
 """Version of the plugin interface; docs/migrating-plugins.md says what changed from one major version to the next."""
 _LATER = {
+    "exchange": "ExportedPolicy ImportRequest ImportedPolicy ImportedSubject LearnedPolicy PolicyFormat",
     "foreign_keystores": "AdoptedSources FoundAuthority FoundEnclave FoundGrant FoundKeystore GrantedRules KeystoreFile"
     " KeystoreFiles KeystoreReader",
     "graph": "Edge Graph Object",
@@ -142,7 +145,7 @@ _LATER = {
     "transports": "Availability DiscoveredGraph Endpoint Environment GraphSource InstalledEnclave Tier Transport"
     " TransportType Verdict",
 }
-"""What loads at first use, by module: most runs ask for no single edge, nor other keystores or transports."""
+"""What loads at first use, by module: most runs ask for no single edge, nor other tools, keystores or transports."""
 _MODULE_OF = {name: f"keymint.api.{module}" for module, names in _LATER.items() for name in names.split()}
 _module = cache(import_module)
 

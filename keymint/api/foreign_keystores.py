@@ -9,8 +9,8 @@ from datetime import datetime
 from typing import Any
 
 from comarmor.values import Data, field
+from keymint.api.exchange import ImportedSubject
 from keymint.api.packages import DomainRange, KeySpec, Package, Validity
-from keymint.api.policies import ImportedSubject
 from keymint.api.proving import ComparisonTask
 from keymint.api.rights import Comparison, DocumentComparison
 from keymint.errors import Diagnostic

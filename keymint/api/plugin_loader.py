@@ -19,7 +19,7 @@ from typing import Any, cast
 from comarmor.text import did_you_mean
 from comarmor.values import Data
 from keymint import api
-from keymint.api import API_VERSION, BuildType, PackageType, PolicyFormat, PolicyType, ProfileType
+from keymint.api import API_VERSION, BuildType, PackageType, PolicyType, ProfileType
 from keymint.errors import ExitCode, KeymintError, Origin
 
 _OURS = "keymint-tools"
@@ -241,9 +241,9 @@ class Plugins:
         """Return the graph source of this name; see :meth:`load`."""
         return cast("api.GraphSource", self.load("keymint.graph_sources", name))
 
-    def policy_format(self, name: str) -> PolicyFormat:
+    def policy_format(self, name: str) -> api.PolicyFormat:
         """Return the policy format of this name; see :meth:`load`."""
-        return cast("PolicyFormat", self.load("keymint.policy_formats", name))
+        return cast("api.PolicyFormat", self.load("keymint.policy_formats", name))
 
     def load(self, group: str, name: str, where: Origin | None = None) -> Any:
         """Return a plugin object.
