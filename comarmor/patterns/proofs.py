@@ -2,7 +2,7 @@
 """Compare decision lists over all words of a universe: the answer is exact, or unknown.
 
 What the fast path of :mod:`~comarmor.patterns.evaluate` does not answer is searched by
-:mod:`~comarmor.patterns.searches`.
+:mod:`~comarmor.patterns.counterexample_search`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def difference(
     def search() -> str | None:
         if evaluate.equal(a, b, universe):
             return None
-        from comarmor.patterns.searches import shortest_difference  # noqa: PLC0415 - most questions need no search
+        from comarmor.patterns.counterexample_search import shortest_difference  # noqa: PLC0415 - most questions need no search
 
         return shortest_difference(a, b, universe, limits)
 
@@ -56,7 +56,7 @@ def escapes(
     def search() -> str | None:
         if len(permitting) == 1 and evaluate.implies(permitting[0], denying, universe):
             return None
-        from comarmor.patterns.searches import shortest_escape  # noqa: PLC0415 - most questions need no search
+        from comarmor.patterns.counterexample_search import shortest_escape  # noqa: PLC0415 - most questions need no search
 
         return shortest_escape(permitting, denying, universe, limits)
 

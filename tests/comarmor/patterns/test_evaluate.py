@@ -9,12 +9,11 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from comarmor.patterns import evaluate
-from comarmor.patterns.counterexample_search import CounterexampleSearch
+from comarmor.patterns.counterexample_search import CounterexampleSearch, ProductSearch
 from comarmor.patterns.decision_lists import Block, Equal, SearchBudget, Universe, Unknown
 from comarmor.patterns.derivatives import Derivatives
 from comarmor.patterns.evaluate import Evaluator, permits
 from comarmor.patterns.proofs import difference, escapes
-from comarmor.patterns.searches import ProductSearch
 from comarmor.patterns.tokens import charset
 from tests.effort import tries
 

@@ -13,12 +13,12 @@ from itertools import product
 
 import pytest
 
+from comarmor.patterns.counterexample_search import ProductSearch
 from comarmor.patterns.decision_lists import Block, DecisionList, Equal, SearchBudget, Universe, Witness
 from comarmor.patterns.derivatives import Derivatives
 from comarmor.patterns.evaluate import Evaluator
 from comarmor.patterns.glob import normalise, parse
 from comarmor.patterns.proofs import difference
-from comarmor.patterns.searches import ProductSearch
 from comarmor.patterns.tokens import charset
 from tests.effort import tries
 

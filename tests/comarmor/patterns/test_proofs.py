@@ -9,6 +9,7 @@ from dataclasses import replace
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from comarmor.patterns.counterexample_search import ProductSearch
 from comarmor.patterns.decision_lists import (
     EVERY_WORD,
     BudgetError,
@@ -22,7 +23,6 @@ from comarmor.patterns.derivatives import Derivatives
 from comarmor.patterns.evaluate import permits
 from comarmor.patterns.glob import parse
 from comarmor.patterns.proofs import difference, escapes
-from comarmor.patterns.searches import ProductSearch
 from tests.effort import tries
 
 from .small import PRINTABLE, UNIVERSE, WORDS, allow, deny, first_difference, lists, patterns_of
