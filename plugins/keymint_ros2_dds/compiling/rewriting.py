@@ -24,8 +24,8 @@ from keymint_ros2_dds.lowering.lowered_rules import DEFAULT, EVERY, GrantRule, P
 from keymint_ros2_dds.lowering.name_mapping import TopicAction
 
 # Few documents are large enough.
-_gather = lazy("keymint.keymake.gather:gather")
-_similar = lazy("keymint.keymake.gather:similar")
+_gather = lazy("keymint_ros2_dds.compiling.gathering:gather")
+_similar = lazy("keymint_ros2_dds.compiling.gathering:similar")
 GUARD = "*]*"
 """The names that match on Cyclone DDS and not by the standard."""
 MIN_SAVED = 1_024

@@ -28,7 +28,7 @@ from comarmor.patterns.relations import TooComplexError, all_disjoint, disjoint,
 from comarmor.rules import Effect
 from comarmor.values import Data
 from keymint.api import lazy
-from keymint.keymake.order import Arrangement, arrange, early_rules
+from keymint_ros2_dds.compiling.arrangement import Arrangement, arrange, early_rules
 from keymint_ros2_dds.lowering.lowered_rules import DEFAULT, EVERY, GrantRule, Lowered, Partitions, with_leading_allow
 from keymint_ros2_dds.lowering.name_mapping import TopicAction
 from keymint_ros2_dds.lowering.portable_expressions import Step, UnportableError

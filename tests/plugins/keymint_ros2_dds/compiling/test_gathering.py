@@ -7,9 +7,8 @@ from itertools import combinations, product
 from unittest import mock
 
 from hypothesis import given, strategies as st
-
-from keymint.keymake import gather as module
-from keymint.keymake.gather import Pattern, gather, similar
+from keymint_ros2_dds.compiling import gathering as module
+from keymint_ros2_dds.compiling.gathering import Pattern, gather, similar
 
 
 def expanded(patterns: tuple[Pattern, ...]) -> list[str]:

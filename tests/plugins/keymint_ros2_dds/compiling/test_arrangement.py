@@ -6,10 +6,10 @@ from __future__ import annotations
 import itertools
 
 from hypothesis import given, settings, strategies as st
+from keymint_ros2_dds.compiling.arrangement import arrange, early_rules
 
 from comarmor.patterns.glob import matches, parse
 from comarmor.rules import PARTS, parts
-from keymint.keymake.order import arrange, early_rules
 from tests.effort import calls_of
 
 WORDS = ["".join(word) for size in range(6) for word in itertools.product("ab", repeat=size)]
