@@ -12,7 +12,7 @@ from keymint.api.plugin_loader import Plugins
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.ir import SubjectRules
 from keymint.names import package_name
-from keymint.stages.proof.proof_results import ProofEffort, costliest, in_words
+from keymint.stages.proof_results import ProofEffort, costliest, in_words
 
 _WORDS = {
     api.Relation.EQUAL: "equal to the policy",

@@ -30,7 +30,7 @@ from keymint.names import subject_of
 from keymint.pki import keys
 from keymint.stages import identities
 from keymint.stages.documents import built_documents
-from keymint.stages.proof.trust_anchors import unvouched_files
+from keymint.stages.trust_anchors import unvouched_files
 from keymint.view.stamps import digest
 from keymint.workspace import installed_enclaves
 from keymint.workspace.package_build_types import BUILD, build_types_of, is_build_current

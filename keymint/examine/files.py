@@ -24,7 +24,7 @@ from keymint.names import ROOT
 from keymint.pki import keys
 from keymint.stages import environment_scripts
 from keymint.stages.documents import build_shared, enclaves_of, installed_shared
-from keymint.stages.proof.trust_anchors import shared_anchors
+from keymint.stages.trust_anchors import shared_anchors
 from keymint.store.changes import file_mode
 from keymint.view.file_reading import FileStatus
 from keymint.view.stamps import digest

@@ -26,8 +26,8 @@ from keymint.life.terms import iso_time
 from keymint.life.workspace_register import complete_register, issuer_of, register_of
 from keymint.names import subject_of
 from keymint.pki import certificate_forms, certificates, revocation_lists
-from keymint.stages.proof.proof_results import ProofEffort, ProofResults
-from keymint.stages.proof.prove import proofs
+from keymint.stages.proof_results import ProofEffort, ProofResults
+from keymint.stages.prove import proofs
 from keymint.store import journal
 from keymint.workspace import installed_enclaves
 from keymint.workspace.installed_enclaves import CERTIFICATE, INSTALLED, installed_certificate, with_sources

@@ -13,7 +13,7 @@ from keymint.api.plugin_loader import Plugins
 from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.ir import SubjectRules
 from keymint.names import subject_of
-from keymint.stages.proof.prove import STAGE, policy_digest
+from keymint.stages.prove import STAGE, policy_digest
 from keymint.view.stamps import Stamp, State, digest
 from keymint.workspace.package_build_types import SHARED, recorded_build_types
 from keymint.workspace.session import Session

@@ -30,8 +30,8 @@ from keymint.pki import certificates, distinguished_names, smime
 from keymint.pki.distinguished_names import to_text
 from keymint.pki.smime import SignedDocument
 from keymint.robots import bundle
-from keymint.stages.proof.proof_results import EnclaveProof, ProofEffort, ProofResults, dump_claims, load_claims
-from keymint.stages.proof.prove import STAGE, policy_digest
+from keymint.stages.proof_results import EnclaveProof, ProofEffort, ProofResults, dump_claims, load_claims
+from keymint.stages.prove import STAGE, policy_digest
 from keymint.view.stamps import Stamp, State, digest
 from keymint.workspace.installed_enclaves import installed_certificate
 from keymint.workspace.package_build_types import SHARED, inputs_digest, is_build_current

@@ -29,7 +29,7 @@ from keymint.errors import KeymintError
 from keymint.ir import Rule
 from keymint.pki import smime
 from keymint.stages.documents import build_shared, installed_documents
-from keymint.stages.proof.trust_anchors import anchors_of
+from keymint.stages.trust_anchors import anchors_of
 from keymint.workspace.installed_enclaves import enclave_files
 from keymint.workspace.package_build_types import build_types_of
 from keymint.workspace.session import Session

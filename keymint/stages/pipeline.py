@@ -29,8 +29,8 @@ from keymint.stages.build import BuildStage, options_as_built
 from keymint.stages.create import CreateStage
 from keymint.stages.documents import affected_packages
 from keymint.stages.install import InstallStage
-from keymint.stages.proof.proof_gate import proof_stage, proven
-from keymint.stages.proof.prove import ProofStage
+from keymint.stages.proof_gate import proof_stage, proven
+from keymint.stages.prove import ProofStage
 from keymint.stages.work import Crew, InstallRequest, NewPackages, PackagePlan, PackageStage, Work
 from keymint.store.changes import Action, File, FolderChange, Plan, Step
 from keymint.view.stamps import Stamp

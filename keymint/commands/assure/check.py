@@ -24,8 +24,8 @@ from keymint.names import subject_of
 from keymint.output.report import merged_diagnostics
 from keymint.output.sarif import of_diagnostics, sarif as sarif_log
 from keymint.stages.create import other_domain, policy_changed, subjects_without_package
-from keymint.stages.proof.proof_results import ProofEffort, proof_findings
-from keymint.stages.proof.prove import NO_PROVER, STAGE
+from keymint.stages.proof_results import ProofEffort, proof_findings
+from keymint.stages.prove import NO_PROVER, STAGE
 from keymint.view.stamps import State
 from keymint.workspace.policy_loading import lazy_policy
 from keymint.workspace.session import Session

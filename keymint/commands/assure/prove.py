@@ -21,9 +21,9 @@ from keymint.life.examine import orphan_findings
 from keymint.life.workspace_register import has_register, with_enclaves, withdrawn
 from keymint.output.json import line_json
 from keymint.stages.create import subjects_without_package
-from keymint.stages.proof.proof_results import STATES, EnclaveProof, ProofEffort, ProofResults, proof_findings
-from keymint.stages.proof.prove import NO_PROVER, STAGE
-from keymint.stages.proof.trust_anchors import differences
+from keymint.stages.proof_results import STATES, EnclaveProof, ProofEffort, ProofResults, proof_findings
+from keymint.stages.prove import NO_PROVER, STAGE
+from keymint.stages.trust_anchors import differences
 from keymint.store.changes import Action, Step
 from keymint.workspace.installed_enclaves import not_installed
 from keymint.workspace.policy_loading import lazy_policy

@@ -26,7 +26,7 @@ from keymint.output.report import members
 from keymint.run.run_log import logged_runs
 from keymint.stages.create import packages_to_create
 from keymint.stages.package_status import StatusRow, package_rows, shared_rows
-from keymint.stages.proof.proof_results import ProofEffort
+from keymint.stages.proof_results import ProofEffort
 from keymint.view.tree import Tree
 from keymint.workspace.policy_loading import lazy_policy
 from keymint.workspace.session import Session

@@ -27,7 +27,7 @@ from keymint.life.workspace_register import with_enclaves
 from keymint.output.junit import junit as junit_document
 from keymint.output.mismatches import comparisons_json, diagnostics, enumeration, junit_suites, sarif_results
 from keymint.output.sarif import sarif as sarif_log
-from keymint.stages.proof.trust_anchors import differences
+from keymint.stages.trust_anchors import differences
 from keymint.store.changes import Action, Step
 from keymint.verify.compare import Asking
 from keymint.verify.copies import enclave_copies

@@ -21,7 +21,7 @@ from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin, Severity
 from keymint.examine.adopted_documents import policy_finding, unclear_rights
 from keymint.examine.nodes import NODE_NOTES, node_notes, of_documents
 from keymint.stages.create import policy_path
-from keymint.stages.proof.proof_results import ProofEffort
+from keymint.stages.proof_results import ProofEffort
 from keymint.store.changes import Plan
 from keymint.workspace.policy_loading import foreign_policy
 from keymint.workspace.session import Inputs

@@ -15,7 +15,7 @@ from keymint.command_line.options import PolicyOptions, distro_option, force_opt
 from keymint.command_line.verb import FILE, Report, Run, argument, flag, option, path_option, verb
 from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint.examine.nodes import node_notes
-from keymint.stages.proof.proof_results import ProofEffort, in_words
+from keymint.stages.proof_results import ProofEffort, in_words
 from keymint.workspace.policy_loading import foreign_policy
 
 

@@ -20,7 +20,7 @@ from keymint.command_line.options import PolicyOptions, force_option, policy_opt
 from keymint.command_line.verb import PATH, Report, Run, argument, findings_if, path_option, verb
 from keymint.errors import Diagnostic, KeymintError, Origin, usage_error
 from keymint.output.json import edge_json
-from keymint.stages.proof.proof_results import ProofEffort
+from keymint.stages.proof_results import ProofEffort
 from keymint.workspace.policy_loading import foreign_policy
 
 

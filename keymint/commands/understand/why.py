@@ -17,7 +17,7 @@ from keymint.names import name_of
 from keymint.output.json import Typed, decision_json, edge_json, place_json, verdict_json
 from keymint.output.mismatches import document_reason, enumeration, mismatch_finding, request_text, rule_text, verb_of
 from keymint.output.report import members
-from keymint.stages.proof.trust_anchors import differences
+from keymint.stages.trust_anchors import differences
 from keymint.verify.transports import choose
 from keymint.verify.why import Explanation, MatchedRule, explain, request, source_package
 from keymint.workspace.policy_loading import load_policy

@@ -18,7 +18,7 @@ from keymint.adoption.keystore_policy import Learning, learned_from
 from keymint.api import DocumentComparison, FoundKeystore, KeystoreFiles, Relation
 from keymint.errors import KeymintError
 from keymint.examine.adopted_documents import unclear_rights
-from keymint.stages.proof.proof_results import ProofEffort
+from keymint.stages.proof_results import ProofEffort
 from tests import sros2_keystore
 from tests.conftest import installed_plugins
 

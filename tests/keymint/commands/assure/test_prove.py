@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from keymint.pki import certificates, keys, smime
-from keymint.stages.proof import proof_results
+from keymint.stages import proof_results
 
 
 def resign(workspace: Path, name: str, old: str, new: str) -> None:

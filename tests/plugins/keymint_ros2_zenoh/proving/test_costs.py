@@ -15,7 +15,7 @@ from comarmor.patterns.steps import step_limit
 from keymint.api import Claim, Proof
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
-from keymint.stages.proof.proof_results import STEPS
+from keymint.stages.proof_results import STEPS
 from tests.effort import tries
 from tests.plugins.keymint_ros2_zenoh.lowering.policies import rule, subject_rules
 

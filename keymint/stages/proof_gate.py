@@ -12,8 +12,8 @@ from keymint.errors import Diagnostic, ExitCode, KeymintError, Severity
 from keymint.names import name_of
 from keymint.stages.create import CHANGED
 from keymint.stages.documents import HAND_EDITED
-from keymint.stages.proof.proof_results import EnclaveProof, ProofEffort, dated_of, diagnostics_of, merged_packages
-from keymint.stages.proof.prove import NO_PROVER, STAGE, ProofStage
+from keymint.stages.proof_results import EnclaveProof, ProofEffort, dated_of, diagnostics_of, merged_packages
+from keymint.stages.prove import NO_PROVER, STAGE, ProofStage
 from keymint.stages.work import Crew, InstallRequest, Work
 from keymint.store.changes import Action, Plan
 from keymint.workspace.installed_enclaves import INSTALLED

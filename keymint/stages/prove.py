@@ -23,10 +23,10 @@ from keymint.life import terms
 from keymint.life.workspace_register import withdrawn
 from keymint.names import name_of, subject_of
 from keymint.pki import distinguished_names
+from keymint.stages import proof_results
 from keymint.stages.documents import documents_digest, enclaves_of, installed_documents
-from keymint.stages.proof import proof_results
-from keymint.stages.proof.proof_results import EnclaveProof, ProofEffort, ProofResults
-from keymint.stages.proof.trust_anchors import anchors_of, shared_anchors, unread_of
+from keymint.stages.proof_results import EnclaveProof, ProofEffort, ProofResults
+from keymint.stages.trust_anchors import anchors_of, shared_anchors, unread_of
 from keymint.stages.work import NewPackage, PackageStage
 from keymint.view.stamps import Stamp, digest, digest_files, digest_of_texts, stamp_of
 from keymint.workspace import package_build_types
