@@ -29,7 +29,7 @@ from keymint.store.changes import file_mode
 from keymint.view.file_reading import FileStatus
 from keymint.view.stamps import digest
 from keymint.workspace import installed_enclaves
-from keymint.workspace.installed_enclaves import INSTALLED, KEY, copies_of, enclave_names, files_in
+from keymint.workspace.installed_enclaves import INSTALLED, KEY, copies_of, enclave_names, files_in, is_script
 from keymint.workspace.package_build_types import load_packages, record_key, users
 from keymint.workspace.session import Inputs, Session
 from keymint.workspace.workspace import GITIGNORE
@@ -283,7 +283,7 @@ def outside_enclaves(session: Session, within: timedelta) -> Iterator[Diagnostic
         if path in own or path in targets or relative in known or relative in expected or relative == GITIGNORE:
             continue
         if relative in own_scripts:  # a workspace that was not installed since they exist has none
-            is_ours = environment_scripts.is_ours(session.tree.try_read(path) or b"")
+            is_ours = is_script(session.tree.try_read(path) or b"")
             help_ = restores if is_ours else "rename it or remove it, and run 'keymint install'"
             yield from as_installed(session, path, digest(own_scripts[relative]), help_, _OTHER_SCRIPT)
         else:

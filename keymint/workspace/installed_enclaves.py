@@ -15,7 +15,6 @@ from cryptography import x509
 from comarmor.values import Data, field, replace
 from keymint.api import Artifact, BuildType
 from keymint.errors import Diagnostic, KeymintError, Origin
-from keymint.host.shells import MARK
 from keymint.names import ROOT, subject_of
 from keymint.pki import certificates
 from keymint.store.changes import Action, File, FolderChange, Step, file_mode, folder_changes
@@ -28,6 +27,8 @@ from keymint.workspace.workspace import hidden_by
 CERTIFICATE, KEY = "cert.pem", "key.pem"
 INSTALLED = "install"
 """Key of the record of installed enclaves."""
+SCRIPT_MARK = "# Written by Keymint."
+"""The beginning of each script of a keystore, by which it is recognised."""
 
 
 @once
@@ -301,6 +302,11 @@ def obsolete_steps(session: Session, by_type: Iterable[Mapping[str, Artifact]], 
     return [Step(INSTALLED, "", Action.REMOVED, removed, "shared by all enclaves before")] if removed else []
 
 
+def is_script(content: bytes) -> bool:
+    """Tell whether a file is a script that Keymint wrote, which may have been edited since."""
+    return content.startswith(SCRIPT_MARK.encode())
+
+
 def last_steps(session: Session, changes: EnclaveChanges) -> list[Step]:
     """Return the step that removes what all enclaves share, and the scripts, if some changes leave no enclave."""
     there, tree, install = enclave_names(session), session.tree, session.workspace.install
@@ -309,7 +315,7 @@ def last_steps(session: Session, changes: EnclaveChanges) -> list[Step]:
     own = session.enclave(ROOT) if ROOT in there else None  # its files are removed with it
     shared = {install / path for found in shared_copies(session, NO_CHANGES) for path in found}
     gone = [each for each in shared if tree.has_file(each) and each.parent != own]
-    gone += [install / name for name, content in tree.files(install).items() if content.startswith(MARK.encode())]
+    gone += [install / name for name, content in tree.files(install).items() if is_script(content)]
     removed = tuple(FolderChange(path.parent, removed=(path.name,)) for path in sorted(gone))
     return [Step(INSTALLED, "", Action.REMOVED, removed, "shared by all enclaves; none is left")]
 

@@ -8,10 +8,9 @@ import click
 from comarmor.text import did_you_mean
 from keymint.command_line.verb import Report, Run, argument, option, verb
 from keymint.errors import KeymintError
-from keymint.host.shells import SHELLS, exports
 from keymint.names import package_name, subject_of
 from keymint.stages.create import other_domain
-from keymint.stages.environment_scripts import enclave_environment
+from keymint.stages.environment_scripts import SHELLS, enclave_environment, exports
 from keymint.workspace.installed_enclaves import enclave_names
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from keymint.host.shells import SHELLS
+from keymint.stages.environment_scripts import SHELLS
 from tests.conftest import snapshot
 
 NAMES = tuple(f"keystore.{shell}" for shell in SHELLS)

@@ -11,7 +11,7 @@ from keymint_ros2_dds import build_type
 from keymint_ros2_dds.enclave_layout import enclave_variables, keystore_variables
 
 from keymint.api import EnvironmentVariable
-from keymint.host.shells import variable_values
+from keymint.stages.environment_scripts import variable_values
 
 SWITCHES = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce"}
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from keymint_ros2_zenoh import build_type
 from keymint_ros2_zenoh.enclave_layout import SESSION, enclave_variables, files, keystore_variables
 
-from keymint.host.shells import variable_values
+from keymint.stages.environment_scripts import variable_values
 
 ROUTER = {"ZENOH_ROUTER_CONFIG_URI": "/k/zenoh/router.json5"}
 

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from keymint.api import EnvironmentVariable
-from keymint.host.shells import MARK, SHELLS, exports, script, variable_values
+from keymint.stages.environment_scripts import SHELLS, exports, script, variable_values
+from keymint.workspace.installed_enclaves import is_script
 
 VARIABLES = (
     EnvironmentVariable("KEYSTORE", "", is_path=True),
@@ -48,7 +49,7 @@ def test_a_script_finds_its_folder(shell: str, name: str, tmp_path: Path) -> Non
     keystore = tmp_path / name
     keystore.mkdir()
     content = script(VARIABLES, shell)
-    assert content.decode().startswith(MARK)
+    assert is_script(content)
     (keystore / f"keystore.{shell}").write_bytes(content)
     (tmp_path / f"link.{shell}").symlink_to(keystore / f"keystore.{shell}")
     (tmp_path / "folder").symlink_to(keystore)
