@@ -29,7 +29,7 @@ from comarmor.patterns.tokens import SPECIAL, Dialect
 from comarmor.text import lazy_regex
 from comarmor.values import Data, replace
 from comarmor.xml import schema
-from comarmor.xml.reader import LIMITS, line
+from comarmor.xml.reader import LIMITS, XSI, line
 from keymint_ros2_dds.domains import MAX_DOMAIN
 
 STANDARD = Dialect()
@@ -156,6 +156,10 @@ class Quirk(Data):
     fast: VendorReading
 
 
+USUAL_HEAD = f'<?xml version="1.0" encoding="UTF-8"?>\n<dds xmlns:xsi="{XSI}" xsi:noNamespaceSchemaLocation="'
+"""What a document of Keymint begins with."""
+_UNUSUAL = (b"<!", b"<?", b"&", b"\0", b"xmlns", b"xsi:", b" >", b"\t>", b"\r>", b"\n>")
+"""One of these is in each quirk of the bytes that follow."""
 _BOM = b"\xef\xbb\xbf"
 _DECLARATION = lazy_regex(rb"<\?xml\s[^?]*\?>")
 _ENCODING = lazy_regex(rb"\sencoding\s*=\s*[\"']([^\"']*)")
@@ -183,6 +187,9 @@ def quirks_of_bytes(content: bytes, *, comments_until: int | None = None) -> Ite
         content: the document; it is well-formed XML without a DOCTYPE.
         comments_until: offset up to which comments are ignored; None: everywhere.
     """
+    usual = USUAL_HEAD.encode()
+    if content.startswith(usual) and not any(each in content[len(usual) :] for each in _UNUSUAL):
+        return
     if content.startswith(_BOM):
         yield Quirk(1, "a byte order mark", REFUSES, PLAIN)
     rest = content.removeprefix(_BOM)

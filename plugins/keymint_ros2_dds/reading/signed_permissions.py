@@ -6,9 +6,8 @@ Documents that the schema does not allow are read as well, since vendors accept 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable, Iterator
-from functools import cache, lru_cache
+from functools import lru_cache
 from itertools import chain
 
 from lxml import etree
@@ -16,7 +15,7 @@ from lxml import etree
 from comarmor.errors import ComArmorError, Diagnostic, Origin
 from comarmor.text import lazy_regex, quote
 from comarmor.values import Data, replace
-from comarmor.xml.reader import line, parse
+from comarmor.xml.reader import XSI, line, parse
 from keymint.api import DomainRange
 from keymint.errors import KeymintError
 from keymint_ros2_dds.domains import MAX_DOMAIN
@@ -159,48 +158,41 @@ def read(content: bytes, file: str = "permissions.xml", offset: int = 0) -> Perm
     return PermissionsDocument(file, grants, defects_in_file(defects, file, offset), document_quirks, crash, offset)
 
 
-_TEXT = "[!-%'-;=?-~]"
-"""A printable character that is no blank, and is not written in another way."""
-_HEAD = (
-    '<?xml version="1.0" encoding="UTF-8"?>\n<dds xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance"'
-    ' xsi:noNamespaceSchemaLocation="'
-)
-_END = "\n</dds>\n"
-"""What the form begins and ends with."""
-_ID = r"(?:0|[1-9][0-9]{0,2})"
+_DATE_LENGTH = len("2026-01-01T00:00:00")
+_LOCATION = f"{{{XSI}}}noNamespaceSchemaLocation"
 
 
-def _lines(*lines: str) -> str:
-    return "".join(f"\n{each}" for each in lines)
-
-
-def _any_criteria() -> str:
-    topics = _lines("<topics>") + f"(?:{_lines(f'<topic>{_TEXT}++</topic>')})++" + _lines("</topics>")
-    partitions = (
-        _lines("<partitions>") + f"(?:{_lines(f'<partition>{_TEXT}*+</partition>')})++" + _lines("</partitions>")
+def _plain_text(location: str, name: str, grant: DocumentGrant) -> str:
+    """Return a document as Keymint writes it, unindented: if it is valid, each vendor reads it alike."""
+    rules, default = "".join(map(_plain_rule, grant.rules)), "ALLOW" if grant.allows else "DENY"
+    return (
+        f'{dialects.USUAL_HEAD}{location}">\n<permissions>\n<grant name="{name}">\n'
+        f"<subject_name>{grant.subject_name}</subject_name>\n<validity>\n<not_before>{grant.not_before}</not_before>\n"
+        f"<not_after>{grant.not_after}</not_after>\n</validity>\n{rules}<default>{default}</default>\n</grant>\n"
+        "</permissions>\n</dds>\n"
     )
-    begin, end = _lines(f"<(?P<action>{'|'.join(ACTIONS)})>"), _lines("</(?P=action)>")
-    return f"(?:{begin}{topics}(?:{partitions})?+{end})*+"
 
 
-@cache
-def _plain_form() -> re.Pattern[str]:
-    """Return what follows the head in a document of Keymint, unindented: valid, and each vendor reads it alike."""
-    id_range = _lines("<id_range>", f"<min>{_ID}</min>", f"<max>{_ID}</max>", "</id_range>")
-    return re.compile(
-        rf'(?:(?!"){_TEXT})*+">'
-        + _lines(
-            "<permissions>", f'<grant name="(?: |(?!"){_TEXT})*+">',
-            f"<subject_name>{_TEXT}(?: |{_TEXT})*+</subject_name>", "<validity>",
-            "<not_before>(?P<begin>.{19})</not_before>", "<not_after>(?P<end>.{19})</not_after>", "</validity>",
-        )
-        + f"(?:{_lines('<(?P<effect>allow|deny)_rule>', '<domains>')}"
-        + f"(?:{_lines(f'<id>{_ID}</id>')}|{id_range})++{_lines('</domains>')}"
-        + _any_criteria()
-        + _lines("</(?P=effect)_rule>") + ")*+"
-        + _lines("<default>(?:ALLOW|DENY)</default>", "</grant>", "</permissions>") + _END,
-        re.ASCII,
-    )  # fmt: skip
+def _plain_rule(rule: DocumentRule) -> str:
+    tag = "allow_rule" if rule.allows else "deny_rule"
+    domains = [
+        f"<id>{each.first}</id>\n"
+        if each.first == each.last
+        else f"<id_range>\n<min>{each.first}</min>\n<max>{each.last}</max>\n</id_range>\n"
+        for each in rule.domains
+    ]
+    criteria = "".join(map(_plain_criteria, sorted(rule.criteria, key=lambda each: ACTIONS.index(each.action))))
+    return f"<{tag}>\n<domains>\n{''.join(domains)}</domains>\n{criteria}</{tag}>\n"
+
+
+def _plain_criteria(criteria: DocumentCriteria) -> str:
+    texts = "</topic>\n<topic>".join(criteria.topics)
+    topics = f"<topics>\n<topic>{texts}</topic>\n</topics>\n"
+    partitions = ""
+    if criteria.partitions is not None:
+        texts = "</partition>\n<partition>".join(criteria.partitions)
+        partitions = f"<partitions>\n<partition>{texts}</partition>\n</partitions>\n"
+    return f"<{criteria.action}>\n{topics}{partitions}</{criteria.action}>\n"
 
 
 _PLAIN_MOST = 1 << 20
@@ -221,21 +213,39 @@ def _plain(content: bytes) -> tuple[DocumentGrant, ...] | None:
         len(content) > _PLAIN_MOST
         or content.count(b"\n") >= _MOST_LINES
         or not content.isascii()
+        or not content.startswith(dialects.USUAL_HEAD.encode())
         or (content.count(b"xmlns"), content.count(b"xsi:")) != (1, 1)
     ):
         return None
-    text = content.decode()
-    unindented = "\n".join([line.lstrip(" ") for line in text.split("\n")])
-    is_framed = text.startswith(_HEAD) and text.endswith(_END)
-    match = _plain_form().fullmatch(unindented, len(_HEAD)) if is_framed else None
-    if match is None or dialects.fast_date(match["begin"]) is None or dialects.fast_date(match["end"]) is None:
+    try:
+        # Its head leaves no place for a DOCTYPE, and it is far below every limit, so that lxml alone may parse it.
+        root = etree.fromstring(content)
+        (grant,) = map(_grant, grants := root.findall("permissions/grant"))
+    except (etree.XMLSyntaxError, KeymintError, ValueError):
         return None
-    # The form has no DOCTYPE and no entity, and is far below every limit, so that lxml alone may parse it.
-    grants = tuple(map(_grant, etree.fromstring(content).iterfind("permissions/grant")))
-    # The form leaves their order open, which the schema does not.
-    orders = [[ACTIONS.index(each.action) for each in rule.criteria] for grant in grants for rule in grant.rules]
-    last = max((domains.last or 0 for grant in grants for rule in grant.rules for domains in rule.domains), default=0)
-    return None if last > MAX_DOMAIN or any(order != sorted(order) for order in orders) else grants
+    location, name = root.get(_LOCATION, ""), grants[0].get("name", "")
+    unindented = "\n".join([line.lstrip(" ") for line in content.decode().split("\n")])
+    is_plain = unindented == _plain_text(location, name, grant) and _is_valid(location, name, grant)
+    return (grant,) if is_plain else None
+
+
+def _is_valid(location: str, name: str, grant: DocumentGrant) -> bool:
+    """Tell whether the schema allows what such a document says, and each vendor reads its texts alike."""
+    rules, dates = grant.rules, (grant.not_before, grant.not_after)
+    criteria = [each for rule in rules for each in rule.criteria]
+    topics = list(chain.from_iterable(each.topics for each in criteria))
+    partitions = chain.from_iterable(each.partitions or () for each in criteria)
+    words = "".join((location, grant.subject_name[:1], *topics, *partitions))
+    texts = f"{words}{grant.subject_name}{name}"
+    ends = [end or 0 for rule in rules for each in rule.domains for end in (each.first, each.last)]
+    return (
+        all((grant.subject_name, *topics, *(rule.domains for rule in rules)))
+        and texts.isprintable()
+        and ">" not in texts
+        and " " not in words
+        and all(0 <= end <= MAX_DOMAIN for end in ends)
+        and all(len(date) == _DATE_LENGTH and dialects.fast_date(date) for date in dates)
+    )
 
 
 def defects_in_file(defects: Iterable[Diagnostic], file: str, offset: int) -> tuple[Diagnostic, ...]:

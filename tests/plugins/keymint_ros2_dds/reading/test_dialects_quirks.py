@@ -3,8 +3,11 @@
 
 from __future__ import annotations
 
+import re
+from unittest import mock
+
 import pytest
-from hypothesis import given, strategies as st
+from hypothesis import assume, given, strategies as st
 from keymint_ros2_dds.reading import dialects
 from keymint_ros2_dds.reading.dialects import PLAIN, REFUSES, UNMODELLED
 from lxml import etree
@@ -33,6 +36,22 @@ def test_comments_between_elements_only_move_lines(blanks: list[bytes], at: int)
     content = b"\n".join([*odd[:between], b"".join(blanks), *odd[between:]])
     line = content[: content.index(b"</publish >")].count(b"\n") + 1
     assert summary(content) == [(line, "white space in an end tag")]
+
+
+USUAL = CONTENT.replace(b"<dds", f'{dialects.USUAL_HEAD}x"'.encode())
+ODD = [b"<!-- c -->", b"<![CDATA[x]]>", b"<?x y?>", b"&#65;", b"&lt;", b" ", b"\t", b"\n", b" xmlns:x='y'"]
+
+
+@given(st.sampled_from(ODD), st.sampled_from([each.start() for each in re.finditer(b"[<>]", USUAL)]))
+def test_a_document_without_quirks_in_the_usual_form_is_known_at_once(odd: bytes, at: int) -> None:
+    content = USUAL[:at] + odd + USUAL[at:]
+    try:
+        etree.fromstring(content)
+    except etree.XMLSyntaxError:
+        assume(False)
+    found = summary(content)
+    with mock.patch.object(dialects, "USUAL_HEAD", "none"):
+        assert summary(content) == found
 
 
 def test_comments_count_from_an_offset_on() -> None:

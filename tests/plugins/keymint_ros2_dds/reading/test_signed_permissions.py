@@ -173,6 +173,13 @@ def test_a_blank_after_the_subject_is_not_plain() -> None:
     assert not signed_permissions.is_plain(content.replace(b"</subject_name>", b" </subject_name>"))
 
 
+def test_a_minimum_above_the_highest_domain_is_not_plain() -> None:
+    rules = (GrantRule(Effect.ALLOW, DEFAULT, {TopicAction.PUBLISH: ("rt/a",)}),)
+    content = permissions_document.render(replace(package().grant, domains=(DomainRange(3, 230),)), rules)
+    assert signed_permissions.is_plain(content)
+    assert not signed_permissions.is_plain(content.replace(b"<min>3<", b"<min>231<"))
+
+
 def test_what_keymint_writes_is_read_fast() -> None:
     rules = (GrantRule(Effect.ALLOW, EVERY, {TopicAction.PUBLISH: ("rt/a", "rt/*"), TopicAction.RELAY: ("b",)}),)
     assert signed_permissions._plain(permissions_document.render(package().grant, rules)) is not None
