@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Mapping
+from itertools import pairwise, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +76,7 @@ class VerbCommand(click.Command):
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the arguments; a wrong option is a usage error that never proposes to leave out a check."""
         try:
-            return super().parse_args(ctx, args)
+            return super().parse_args(ctx, self._spelled_out(args))
         except click.NoSuchOption as error:
             known = {name for each in self.params for name in each.opts}
             words = {**foreign_words("options"), **foreign_words(ctx.command_path)}
@@ -85,6 +86,20 @@ class VerbCommand(click.Command):
             hint = said if said and has_it else near
             message = f"No such option {error.option_name!r}." + (hint and f" Did you mean {hint}?")
             raise click.NoSuchOption(error.option_name, message, ctx=ctx) from None
+
+    def _spelled_out(self, given: list[str]) -> list[str]:
+        """Return arguments with long names for short options: for a short one, click first loads a search for others.
+
+        What follows an option or ``--`` may be a value, and stays; so does a last option that needs a value.
+        """
+        options = [each for each in self.params if isinstance(each, click.Option)]
+        short = {name: each for each in options for name in each.opts if not name.startswith("--")}
+        spelled = given.copy()
+        for at, (before, word) in enumerate(pairwise(("", *takewhile("--".__ne__, given)))):
+            option = None if before.startswith("-") else short.get(word)
+            if option and (option.is_flag or at + 1 < len(given)):
+                spelled[at] = option.opts[-1]
+        return spelled
 
 
 class VerbGroup(click.Group):

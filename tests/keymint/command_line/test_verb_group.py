@@ -6,14 +6,16 @@ from __future__ import annotations
 import inspect
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from unittest import mock
 
 import click
 import pytest
+from hypothesis import given, strategies as st
 
 from keymint.cli import cli
 from keymint.command_line.verb import option_texts
-from keymint.command_line.verb_group import VerbGroup, foreign_words
+from keymint.command_line.verb_group import VerbCommand, VerbGroup, foreign_words
 from keymint.commands.life.authority import authority
 from tests.conftest import Outcome
 
@@ -105,3 +107,33 @@ def test_wrong_arguments_are_one_line_with_what_was_expected(keymint: Callable[.
     expected = "error: Got unexpected extra argument (ws); expected: keymint provision [OPTIONS] POLICY"
     hint = "(a workspace is named by -w: -w ws)"
     assert keymint("provision", "policy.xml", "ws").err == f"{expected} {hint} [usage]\n"
+
+
+def parsed(command: click.Command, given: Sequence[str]) -> object:
+    """Return what a command reads from arguments, or what it says about them."""
+    try:
+        return command.make_context("verb", list(given)).params
+    except click.UsageError as error:
+        return error.format_message()
+
+
+PARAMETERS = [
+    click.Argument(["names"], nargs=-1),
+    click.Option(["-w", "--workspace"]),
+    click.Option(["-q", "--quiet"], is_flag=True),
+    click.Option(["--because"]),
+]
+WORDS = ["-w", "-q", "-wq", "-qw", "-x", "--", "-", "x", "--because", "--quiet", "--workspace=x"]
+
+
+@given(st.lists(st.sampled_from(WORDS)))
+def test_short_options_mean_what_click_reads_from_them(words: list[str]) -> None:
+    verb = VerbCommand("verb", declared=lambda: PARAMETERS)
+    assert parsed(verb, words) == parsed(click.Command("verb", params=PARAMETERS), words)
+
+
+def test_short_options_load_no_search_for_similar_names() -> None:
+    with mock.patch.dict(sys.modules, {"difflib": None}):
+        verb = VerbCommand("verb", declared=lambda: PARAMETERS)
+        found = parsed(verb, ["-q", "x", "-w", "y", "-q"])
+    assert found == {"names": ("x",), "workspace": "y", "quiet": True, "because": None}
