@@ -74,9 +74,6 @@ def parse(text: str) -> tuple[Piece | TunableReference, ...]:
         if plain := _PLAIN.match(text, at):
             _add(pieces, plain[0])
             at = plain.end()
-        elif reference := _REFERENCE.match(text, at):
-            pieces.append(TunableReference(reference[1]))
-            at = reference.end()
         elif braces := _BRACES.match(text, at):
             placeholder = braces[0]
             if placeholder not in tuple(Placeholder):
@@ -86,6 +83,9 @@ def parse(text: str) -> tuple[Piece | TunableReference, ...]:
                 raise ComArmorError(message, help=help_, code="brace")
             pieces.append(Placeholder(placeholder))
             at += len(placeholder)
+        elif reference := _REFERENCE.match(text, at):
+            pieces.append(TunableReference(reference[1]))
+            at = reference.end()
         else:
             token, end = next_token(text, at, COMARMOR)
             if isinstance(token, Bracket) and _BARE_BRACE.search(text, at, end):

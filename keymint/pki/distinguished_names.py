@@ -8,6 +8,7 @@ other way round.
 from __future__ import annotations
 
 import hashlib
+import string
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
@@ -76,10 +77,8 @@ _HEX_PAIR = 3
 """Characters of an escaped byte."""
 _ESCAPABLE = frozenset(',+"\\<>;=/# ')
 _ESCAPED_IN_TEXT = frozenset(',+"\\<>;')
-_PLAIN = lazy_regex(r"[A-Za-z0-9/_.-]+")
-"""Values in which nothing is escaped: without ``=``, no ``/`` begins an attribute."""
-_SIMPLE = lazy_regex(r"[A-Za-z]+=[A-Za-z0-9/_.-]+(?:,[A-Za-z]+=[A-Za-z0-9/_.-]+)*")
-"""Names of such values only."""
+_PLAIN = frozenset(f"{string.ascii_letters}{string.digits}/_.-")
+"""Characters of values in which nothing is escaped: without ``=``, no ``/`` begins an attribute."""
 _USUAL_TYPES = {"CN": der.oid("2.5.4.3"), "OU": der.oid("2.5.4.11")}
 """A simple name with these only, which are short, is known in all forms without the library."""
 _EXAMPLE = "write e.g. CN=/robot/camera,OU=x1 or /C=US/O=Acme/CN=ca"
@@ -130,10 +129,9 @@ class WrittenName(Data):
 def written_name(text: str) -> WrittenName:
     """Return a name in the forms in which it is written; errors as :func:`parse`, without a place."""
     parts = [part.partition("=") for part in text.split(",")]
-    is_usual = all(kind in _USUAL_TYPES and len(value) <= MAX_COMMON_NAME for kind, _, value in parts)
-    if not (is_usual and _SIMPLE.fullmatch(text)):
+    if not all(kind in _USUAL_TYPES and _is_plain(value) and len(value) <= MAX_COMMON_NAME for kind, _, value in parts):
         name = _parsed(text)
-        plain = tuple(value for _, value in attributes(name) if _PLAIN.fullmatch(value))
+        plain = tuple(value for _, value in attributes(name) if _is_plain(value))
         return WrittenName(name.public_bytes(), to_text(name), plain)
     values, encoded = list[str](), list[bytes]()
     for kind, _, value in parts:
@@ -212,10 +210,9 @@ def _invalid(text: str, problem: str, help_: str = "") -> KeymintError:
 
 def _pairs(text: str) -> Iterator[tuple[str, str]]:
     """Yield attribute types, as written, and values, unescaped."""
-    if _SIMPLE.fullmatch(text):
-        for part in text.split(","):
-            kind, _, value = part.partition("=")
-            yield kind, value
+    parts = [part.partition("=") for part in text.split(",")]
+    if all(kind.isascii() and kind.isalpha() and _is_plain(value) for kind, _, value in parts):
+        yield from ((kind, value) for kind, _, value in parts)
         return
     position = 1 if text.startswith("/") and _TYPE_THEN_EQUALS.match(text, 1) else 0
     while True:
@@ -295,13 +292,17 @@ def _type(kind: str) -> tuple[x509.ObjectIdentifier, int]:
     raise KeymintError(f"{kind!r} is not an attribute type of a subject name", help=help_, code="name-invalid")
 
 
+def _is_plain(value: str) -> bool:
+    return value != "" and _PLAIN.issuperset(value)
+
+
 def _string(part: x509.NameAttribute[str | bytes]) -> str:
     return part.value if isinstance(part.value, str) else part.value.hex()
 
 
 def _escape(value: str) -> str:
     """Return a value as :func:`parse` reads it: escaped by RFC 4514, 2.4, and a ``/`` that would separate."""
-    if _PLAIN.fullmatch(value):
+    if _is_plain(value):
         return value
     escaped = [
         f"\\{character}"

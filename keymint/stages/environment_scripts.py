@@ -6,11 +6,11 @@ A script (``keystore.bash``) finds the keystore by its own path, wherever it lie
 
 from __future__ import annotations
 
+import string
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-from comarmor.text import lazy_regex
 from comarmor.values import Data
 from keymint.api import EnvironmentVariable
 from keymint.errors import Diagnostic, KeymintError
@@ -21,8 +21,8 @@ from keymint.workspace.package_build_types import recorded_build_types
 from keymint.workspace.session import Session
 
 _COMMENT = f"{SCRIPT_MARK} Source this file: the processes of this shell use this keystore, wherever it lies."
-_PLAIN = lazy_regex(r"[A-Za-z0-9_./][A-Za-z0-9_./:+-]*")
-"""What every shell reads as it is."""
+_PLAIN = frozenset(f"{string.ascii_letters}{string.digits}_./:+-")
+"""Characters that every shell reads as they are; at the begin of a word, only letters, digits and ``_./``."""
 _FOLDER = "_keymint_keystore"
 
 
@@ -43,7 +43,7 @@ class Shell(Data):
 
     def quoted(self, text: str) -> str:
         """Return a text as one word of this shell, which stands for nothing but itself."""
-        if _PLAIN.fullmatch(text):
+        if text and _PLAIN.issuperset(text) and text[0] not in ":+-":
             return text
         return f"'{''.join(self.escapes.get(character, character) for character in text)}'"
 

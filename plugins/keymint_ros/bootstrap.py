@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import timedelta
 from functools import lru_cache
@@ -192,7 +191,7 @@ def checked_domain(value: str) -> str:
     Raises:
         KeymintError: it is none; a usage error.
     """
-    if re.fullmatch("[0-9]{1,3}", value) and int(value) <= _MAX_DOMAIN:
+    if value.isascii() and value.isdecimal() and len(value) <= len(str(_MAX_DOMAIN)) and int(value) <= _MAX_DOMAIN:
         return str(int(value))
     message = f"{value} is not a DDS domain id from 0 to {_MAX_DOMAIN}"
     raise usage_error(message, "use the ROS_DOMAIN_ID of your robots, usually 0", "domain-range")

@@ -232,14 +232,9 @@ GRANT_LINE = 6
 
 _UNSAFE = lazy_regex(r"[%;\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufffe\uffff]")
 _DIGEST = len(digest(()))
-_SPECIAL = lazy_regex('[&<>"\r\n\t]')
 _ENTITIES = str.maketrans(
     {"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;", "\r": "&#13;", "\n": "&#10;", "\t": "&#9;"}
 )
-_PLAIN = lazy_regex(r"[!#-%'-;=?-~]*")
-"""Texts, one after the other, that are written as they are, and that no reader changes."""
-_PLAIN_PLACES = lazy_regex(r"[ !#-%'-;=?-~]*")
-"""The same of places, in an attribute."""
 _MOST_RENDERED = 1 << 14
 _rendered: dict[bytes, tuple[SubjectRules, str]] = {}
 """Rules by the document that they were rendered to, for folders that origins are relative to."""
@@ -258,8 +253,8 @@ def render(rules: SubjectRules, base: str, *, name: str = "", overrides: Iterabl
     chains: dict[int, str] = {}
     files: dict[str, str] = {}
     elements, lines = list[str](), list[str]()
-    texts = [text for rule in rules.rules for text in (*rule.expressions, *rule.partitions)]
-    is_plain = _PLAIN.fullmatch("".join(texts)) is not None
+    texts = "".join([text for rule in rules.rules for text in (*rule.expressions, *rule.partitions)])
+    is_plain = _is_plain(texts) and " " not in texts
     for rule, (begin, rest, before, after) in zip(rules.rules, _around_expressions(rules.kind[0]), strict=True):
         at, own = rule.origin, rule.expressions
         chain = chains.get(id(at.chain))
@@ -275,7 +270,7 @@ def render(rules: SubjectRules, base: str, *, name: str = "", overrides: Iterabl
     document = f"{start}{_digest_of(lines)}{end}{head}{body}    </grant>\n  </permissions>\n</package>\n"
     content = document.encode()
     places = "".join((*files.values(), *chains.values()))
-    has_places = all(files.values()) and "; :" not in places and _PLAIN_PLACES.fullmatch(places)
+    has_places = all(files.values()) and "; :" not in places and _is_plain(places)
     is_usual = not head and not name and all(rule.expressions and rule.permissions for rule in rules.rules)
     if is_plain and has_places and is_usual:
         # Reading the document gives its rules without a change of their texts.
@@ -378,4 +373,9 @@ def _relative(file: str, base: str) -> str:
 
 
 def _text(text: str) -> str:
-    return text.translate(_ENTITIES) if _SPECIAL.search(text) else text
+    return text.translate(_ENTITIES)
+
+
+def _is_plain(text: str) -> bool:
+    """Tell whether a text is written as it is, and no reader changes it in an attribute."""
+    return text.isascii() and text.isprintable() and not any(each in text for each in '&<>"')

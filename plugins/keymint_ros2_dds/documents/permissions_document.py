@@ -9,7 +9,6 @@ from functools import lru_cache
 from lxml import etree
 
 from comarmor.rules import Effect
-from comarmor.text import lazy_regex
 from keymint.api import DomainRange, Grant
 from keymint.errors import Diagnostic, KeymintError
 from keymint_ros2_dds.documents import dds_xml
@@ -22,7 +21,6 @@ from keymint_ros2_dds.subject_names import subject_name_of
 _MAX_YEAR = 2261
 """Cyclone DDS counts time in nanoseconds of 64 bits, and reads later years as expired."""
 _ESCAPED = {"&": "&amp;", "<": "&lt;", ">": "&gt;", "\r": "&#13;"}
-_HAS_ESCAPED = lazy_regex("[&<>\r]")
 _TEXT = str.maketrans(_ESCAPED)
 _ATTRIBUTE = str.maketrans({**_ESCAPED, '"': "&quot;", "\n": "&#10;", "\t": "&#9;"})
 
@@ -72,7 +70,8 @@ def _text(permissions: Grant, name: str, rules: Sequence[GrantRule[str]], indent
 
 
 def _list(tag: str, texts: Sequence[str], indent: str) -> str:
-    if _HAS_ESCAPED.search("".join(texts)):
+    joined = "".join(texts)
+    if any(each in joined for each in _ESCAPED):
         texts = [text.translate(_TEXT) for text in texts]
     begin, end = f"{indent * 6}<{tag}>", f"</{tag}>\n"
     elements = f"{begin}{(end + begin).join(texts)}{end}"

@@ -16,14 +16,12 @@ from itertools import pairwise, product
 from math import prod
 
 from comarmor.patterns.glob import Glob, literal, parse
-from comarmor.patterns.tokens import ANY, STAR, Charset, Star
-from comarmor.text import lazy_regex
+from comarmor.patterns.tokens import ANY, SPECIAL, STAR, Charset, Star
 from keymint_ros2_dds.lowering.lowered_rules import Partitions
 
 MAX_ALTERNATIVES = 64
 """Expressions that one pattern may become."""
 
-_UNSAFE = lazy_regex(r"[^ -~]|[*?\[\\]")
 _ASCII = Charset(((0, 127),))
 _TRAPS = "\\]"
 
@@ -96,8 +94,8 @@ def portable_expressions(glob: Glob) -> tuple[str, ...]:
 
 
 def _literal(text: str) -> str:
-    if unsafe := _UNSAFE.search(text):
-        char = unsafe.group()
+    if SPECIAL.search(text) or not (text.isascii() and text.isprintable()):
+        char = next(char for char in text if char in "*?[\\" or not " " <= char <= "~")
         if char in "*?[\\":
             why = "for which the standard and the vendors have no common escape"
             raise NotPortableError(f"the name has a literal {char!r}, {why}")

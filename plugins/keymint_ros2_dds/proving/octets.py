@@ -90,7 +90,7 @@ def is_independent(document: PermissionsDocument, rules: SubjectRules) -> bool:
     """Return whether no expression depends on the locale, however it is read: see :func:`locale_dependence`."""
     policy = (text for rule in rules.rules for text in (*rule.expressions, *rule.partitions))
     joined = "".join((*policy, *(text for text, _ in _expressions(document.grants, STANDARD))))
-    return joined.isascii() and not _CLASS.search(joined)
+    return joined.isascii() and not ("[:" in joined and _CLASS.search(joined))
 
 
 def locale_dependence(

@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
+from hypothesis import given, strategies as st
 
 from keymint.api import EnvironmentVariable
 from keymint.stages.environment_scripts import SHELLS, exports, script, variable_values
@@ -86,3 +88,9 @@ def test_exports_keep_every_value(shell: str, value: str, tmp_path: Path) -> Non
 def test_paths_are_below_the_keystore() -> None:
     values = variable_values(VARIABLES, Path("/k"))
     assert values == {"KEYSTORE": "/k", "BELOW": "/k/a b/it's", "SWITCH": "true"}
+
+
+@given(st.text(st.sampled_from("aZ09_./:+-é\u0660\n ~$"), max_size=4))
+def test_words_that_mean_nothing_to_a_shell_are_not_quoted(word: str) -> None:
+    is_plain = re.fullmatch(r"[A-Za-z0-9_./][A-Za-z0-9_./:+-]*", word) is not None
+    assert {shell.quoted(word) == word for shell in SHELLS.values()} == {is_plain}

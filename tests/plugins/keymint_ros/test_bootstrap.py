@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
+from hypothesis import given, strategies as st
 from keymint_ros import package_type, profile_type
+from keymint_ros.bootstrap import checked_domain
 from keymint_ros2_dds.settings import settings_of
 
 import comarmor
@@ -151,3 +154,12 @@ def test_an_invalid_request_is_an_error(changes: dict[str, object], code: str, h
     assert diagnostic.code == code
     assert hint in diagnostic.help
     assert "\n" not in str(diagnostic)
+
+
+@given(st.text(st.sampled_from("0129+-_ \u0663\n"), max_size=4))
+def test_a_domain_id_is_a_number_of_up_to_three_digits(text: str) -> None:
+    if re.fullmatch("[0-9]{1,3}", text) and int(text) <= 230:
+        assert checked_domain(text) == str(int(text))
+    else:
+        with pytest.raises(KeymintError):
+            checked_domain(text)

@@ -90,3 +90,14 @@ def test_the_faithful_spelling_is_an_expression_of_the_standard(fnmatch, express
     assume(not re.search(r"(?<!\\)(\\\\)*\\$", expression))
     tokens = glob.parse(expression)
     assert (fnmatch(exact(tokens).encode(), text.encode(), 0) == 0) == matches(tokens, text)
+
+
+@given(st.text(st.sampled_from("ab /~*?[]\\^-\n\x7fé"), min_size=1))
+def test_a_name_names_its_first_character_that_vendors_read_differently(text: str) -> None:
+    unsafe = re.search(r"[^ -~]|[*?\[\\]", text)
+    assume(unsafe or text == text.strip())
+    if unsafe is None:
+        assert portable_expressions((text,)) == (text,)
+    else:
+        with pytest.raises(NotPortableError, match=re.escape(f" {unsafe[0]!r}, ")):
+            portable_expressions((text,))
