@@ -74,15 +74,14 @@ def parse(text: str) -> tuple[Piece | TunableReference, ...]:
         if plain := _PLAIN.match(text, at):
             _add(pieces, plain[0])
             at = plain.end()
-        elif braces := _BRACES.match(text, at):
-            placeholder = braces[0]
-            if placeholder not in tuple(Placeholder):
-                near = "{namespace}" if placeholder == "{ns}" else placeholder
-                message = f"{quote(placeholder)} is unknown, expected {{name}}, {{namespace}} or @{{TUNABLE}}"
-                help_ = did_you_mean(near, Placeholder, "for the character itself write \\{ or \\}")
-                raise ComArmorError(message, help=help_, code="brace")
-            pieces.append(Placeholder(placeholder))
+        elif placeholder := next((each for each in Placeholder if text.startswith(each, at)), None):
+            pieces.append(placeholder)
             at += len(placeholder)
+        elif braces := _BRACES.match(text, at):
+            near = "{namespace}" if braces[0] == "{ns}" else braces[0]
+            message = f"{quote(braces[0])} is unknown, expected {{name}}, {{namespace}} or @{{TUNABLE}}"
+            help_ = did_you_mean(near, Placeholder, "for the character itself write \\{ or \\}")
+            raise ComArmorError(message, help=help_, code="brace")
         elif reference := _REFERENCE.match(text, at):
             pieces.append(TunableReference(reference[1]))
             at = reference.end()

@@ -12,9 +12,6 @@ from functools import lru_cache
 from comarmor.patterns.glob import Glob, Matcher, matcher, normalise
 from comarmor.patterns.tokens import ANY, COMARMOR, SPECIAL, Bracket, Star, Token, tokenize
 from comarmor.rules import Effect, Rule, suffixes
-from comarmor.text import lazy_regex
-
-_ESCAPED = lazy_regex(r"[*?\[\\{}\s]")
 
 
 @lru_cache(maxsize=65536)
@@ -132,7 +129,7 @@ def escape(text: str) -> str:
 
     Braces and white space are escaped as well as wildcards, because they have a meaning in attachments.
     """
-    return _ESCAPED.sub(r"\\\g<0>", text)
+    return "".join([f"\\{char}" if char in "*?[\\{}" or char.isspace() else char for char in text])
 
 
 def _bracket(bracket: Bracket) -> str:

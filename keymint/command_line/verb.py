@@ -22,7 +22,6 @@ from typing import Any, cast
 import click
 from click.core import ParameterSource
 
-from comarmor.text import lazy_regex
 from comarmor.values import Data, replace
 from keymint import SPACES
 from keymint.api.plugin_loader import Plugins
@@ -49,8 +48,6 @@ PATH = click.Path(path_type=Path)
 FILE = click.Path(path_type=Path, dir_okay=False)
 _CHOSEN_BY_USERS = {"keymint.build_types", "keymint.transports"}
 """The groups of plugins of which most users choose one."""
-_ENTRY = lazy_regex(r"(?m)^ {4}(\w+): ")
-"""The begin of a text about an option in a docstring."""
 _MARKER = f"profile/{PROFILE_MARKER}"
 
 
@@ -290,8 +287,9 @@ def option_group(kind: type, check: Callable[[Any], None] = lambda _: None, **op
 def option_texts(declared: object) -> tuple[str, Mapping[str, str]]:
     """Return a docstring without its part ``Options:``, and the texts in that by their names."""
     page, _, listed = (inspect.getdoc(declared) or "").partition("\n\nOptions:\n")
-    _, *parts = _ENTRY.split(listed)
-    return page, {name: " ".join(text.split()) for name, text in zip(parts[::2], parts[1::2], strict=True)}
+    entries = listed.replace("\n     ", " ").splitlines()  # the further lines of a text are deeper than its name
+    found = (entry.partition(": ") for entry in entries)
+    return page, {name.strip(): " ".join(text.split()) for name, _, text in found}
 
 
 def parameters_of(function: Callable[..., Any]) -> tuple[list[click.Parameter], Mapping[str, OptionGroup]]:

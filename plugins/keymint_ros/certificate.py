@@ -6,6 +6,7 @@ Distinguished names may have placeholders, such as ``{name}``; braces have no ot
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Collection, Mapping
 
 from lxml import etree
@@ -23,7 +24,8 @@ AUTHORITY_PLACEHOLDERS = ("name",)
 SUBJECT_PLACEHOLDERS = ("name", "subject", "common_name", "unique")
 """Placeholders of a package: its name, ``/`` + name, common name and unique suffix."""
 
-_BRACES = lazy_regex(r"\{([^{}]*)\}|[{}]")
+_BRACES = frozenset("{}")
+_PLACEHOLDER = lazy_regex(r"\{([^{}]*)\}|[{}]")
 
 
 def name_with_placeholders(element: etree._Element | None, known: Collection[str]) -> str | None:
@@ -35,7 +37,9 @@ def name_with_placeholders(element: etree._Element | None, known: Collection[str
     if element is None:
         return None
     name = text(element) or ""
-    for match in _BRACES.finditer(name):
+    # With a blank for each known placeholder, a name has no braces left.
+    rest = functools.reduce(lambda rest, each: rest.replace(f"{{{each}}}", " "), known, name)
+    for match in () if _BRACES.isdisjoint(rest) else _PLACEHOLDER.finditer(name):
         if match.group(1) not in known:
             choices = ", ".join(f"{{{placeholder}}}" for placeholder in known)
             message = f"unknown placeholder {match.group()!r} in {name!r}"
@@ -50,7 +54,7 @@ def expanded_name(name: str, values: Mapping[str, str]) -> str:
     In the name of the root enclave ``/``, the common name comes first if a placeholder gives it: a grant has the RDNs
     the other way round, and Cyclone DDS finds none for a name in which a ``,`` follows the ``/``.
     """
-    expanded = _BRACES.sub(lambda match: values[match.group(1)], name)
+    expanded = name.format_map(values)
     if values.get("common_name") != "/" or expanded == name:
         return expanded
     from keymint.pki import distinguished_names  # noqa: PLC0415 - as in placeholder_values

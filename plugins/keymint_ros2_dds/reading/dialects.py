@@ -177,7 +177,7 @@ _MARKUP = (
     (lazy_regex(rb"(?:xmlns|xsi:)[^<>=]*="), "an attribute about namespaces", UNMODELLED, PLAIN),
     (lazy_regex(rb"</[^<>\s]*\s"), "white space in an end tag", REFUSES, PLAIN),
 )
-_PLAIN_NUMBER = lazy_regex(r"0|[1-9][0-9]{0,8}")
+_MOST_DIGITS, _MOST_PLAIN_DIGITS = 4000, 9
 
 
 def quirks_of_bytes(content: bytes, *, comments_until: int | None = None) -> Iterator[Quirk]:
@@ -238,11 +238,16 @@ def quirks_by_schema(
     return (), tuple(sorted(own, key=attrgetter("line")))
 
 
+def is_number(text: str) -> bool:
+    """Tell whether a text has ASCII digits only, and no more than Python reads."""
+    return text.isascii() and text.isdecimal() and len(text) <= _MOST_DIGITS
+
+
 def quirks_of_domain_ids(root: etree._Element) -> Iterator[Quirk]:
     """Yield the quirks of the domain ids of a document that its schema allows."""
     for element in root.iter("id", "min", "max"):
         number = (element.text or "").strip(BLANKS)
-        if _PLAIN_NUMBER.fullmatch(number) is None:
+        if not is_number(number) or len(number) > _MOST_PLAIN_DIGITS or number != str(int(number)):
             yield Quirk(line(element), f"the domain id {number!r}", UNMODELLED, UNMODELLED)
         elif int(number) > MAX_DOMAIN:
             yield Quirk(line(element), f"a domain id above {MAX_DOMAIN}", REFUSES, PLAIN)

@@ -7,7 +7,6 @@ domain applies, and in it the first topic rule that matches a topic; a topic wit
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from functools import lru_cache
 
@@ -190,7 +189,7 @@ def _topic_rule(element: etree._Element) -> DocumentTopicRule:
 
 def _number(element: etree._Element | None) -> int | None:
     text = _text(element)
-    return int(text) if re.fullmatch(r"\+?[0-9]{1,4000}", text, re.ASCII) else None
+    return int(text) if dialects.is_number(text.removeprefix("+")) else None
 
 
 def _text(element: etree._Element | None) -> str:

@@ -13,7 +13,7 @@ from itertools import chain
 from lxml import etree
 
 from comarmor.errors import ComArmorError, Diagnostic, Origin
-from comarmor.text import lazy_regex, quote
+from comarmor.text import quote
 from comarmor.values import Data, replace
 from comarmor.xml.reader import XSI, line, parse
 from keymint.api import DomainRange
@@ -24,7 +24,6 @@ from keymint_ros2_dds.reading.dialects import BLANKS, CRASHES, PLAIN, REFUSES, U
 
 ACTIONS = ("publish", "subscribe", "relay")
 _RULES = frozenset(("allow_rule", "deny_rule"))
-_NUMBER = lazy_regex(r"[+-]?[0-9]{1,4000}")
 
 
 class DocumentDomains(Data):
@@ -331,7 +330,7 @@ def document_domains(
 
 def _number(element: etree._Element) -> int:
     text = raw_text(element).strip(BLANKS)
-    if _NUMBER.fullmatch(text) is None:
+    if not dialects.is_number(text[1:] if text.startswith(("+", "-")) else text):
         where = Origin("", line(element))
         raise KeymintError(f"{quote(text)} is no domain id, expected a whole number", where=where, code="domains")
     return int(text)

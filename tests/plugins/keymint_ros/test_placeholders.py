@@ -3,8 +3,14 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
+from hypothesis import given, strategies as st
 from keymint_ros import certificate
+from lxml import etree
+
+from keymint.errors import KeymintError
 
 from .workspaces import Workspace, diagnostic_of
 
@@ -65,3 +71,22 @@ def test_an_unknown_placeholder_of_a_package_is_reported(
 def test_the_root_enclave_has_its_common_name_first_if_placeholders_give_it(template: str, expected: str) -> None:
     values = certificate.placeholder_values("/")
     assert certificate.expanded_name(template, values) == expected.format(**values)
+
+
+VALUES = {"name": "{n}", "subject": "/n", "unique": "7"}
+PARTS = ["{", "}", "{name}", "{subject}", "name", "sub", "ject", "{unique}", "!r", ":x", "CN=", ".x", "{{", " "]
+
+
+@given(st.lists(st.sampled_from(PARTS), max_size=6).map("".join))
+def test_braces_are_those_of_known_placeholders(name: str) -> None:
+    element = etree.Element("subject_name")
+    element.text = name
+    found = list(re.finditer(r"\{([^{}]*)\}|[{}]", name))
+    wrong = [each[0] for each in found if each[1] not in VALUES]
+    if wrong:
+        with pytest.raises(KeymintError, match=re.escape(f"unknown placeholder {wrong[0]!r}")):
+            certificate.name_with_placeholders(element, VALUES)
+    else:
+        written = certificate.name_with_placeholders(element, VALUES) or ""
+        expected = re.sub(r"\{(\w+)\}", lambda match: VALUES[match[1]], written)
+        assert certificate.expanded_name(written, VALUES) == expected

@@ -95,6 +95,15 @@ def test_domain_ids(tag: str, text: str, cyclone: object, fast: object) -> None:
     assert found == ([] if cyclone is None else [(2, cyclone, fast)])
 
 
+@given(st.text(st.sampled_from("0129+-_ \u0663\u00b2"), max_size=12))
+def test_numbers_are_ascii_digits(text: str) -> None:
+    assert dialects.is_number(text) == (re.fullmatch("[0-9]+", text) is not None)
+    root = etree.fromstring(f"<domains><id>x{text}</id></domains>")
+    root[0].text = text
+    is_plain = re.fullmatch("0|[1-9][0-9]{0,8}", text.strip(" ")) is not None
+    assert is_plain == all(each.cyclone == REFUSES for each in dialects.quirks_of_domain_ids(root))
+
+
 def test_what_the_schema_does_not_allow_is_an_error_and_a_quirk() -> None:
     root = etree.fromstring(CONTENT.replace(b"<default>DENY</default>", b"\n<default>MAYBE</default>"))
     (defect, *_), (quirk,) = dialects.quirks_by_schema(root, "permissions", "p.xml")
