@@ -85,14 +85,14 @@ _MULTIPART = lazy_regex(
     rb'Content-Type: multipart/signed; protocol="(application/(?:x-)?pkcs7-signature)"; micalg="([a-z0-9,-]+)"; '
     rb'boundary="([0-9A-Za-z_+./:=?-]{8,70})"'
 )
-_HEAD = lazy_regex(
-    rb'MIME-Version: 1\.0\nContent-Type: multipart/signed; protocol="(application/(?:x-)?pkcs7-signature)"; '
-    rb'micalg="(sha-(?:256|384|512))"; boundary="(----[0-9A-F]{32})"\n\nThis is an S/MIME signed message\n\n'
-    rb"--\3\nContent-Type: text/plain\n\n"
+_HEAD = (
+    b'MIME-Version: 1.0\nContent-Type: multipart/signed; protocol="application/x-pkcs7-signature"; micalg="sha-256"; '
+    b'boundary="----%b"\n\nThis is an S/MIME signed message\n\n------%b\nContent-Type: text/plain\n\n'
 )
-"""What is before the content where Keymint or openssl wrote a boundary, and all lines end with LF."""
+"""What is before the content in a document of Keymint, and in most of openssl."""
+_BEFORE_DIGITS, _DIGITS = _HEAD.index(b"%b"), frozenset(b"0123456789ABCDEF")
 _BEFORE_SIGNATURE = b"""
-Content-Type: %b; name="smime.p7s"
+Content-Type: application/x-pkcs7-signature; name="smime.p7s"
 Content-Transfer-Encoding: base64
 Content-Disposition: attachment; filename="smime.p7s"
 
@@ -344,24 +344,23 @@ def _by_lines(document: bytes, where: Origin | None) -> SignedDocument:
 @functools.lru_cache(maxsize=16)
 def _written(document: bytes) -> SignedDocument | None:
     """Return the parts of a document in the form that Keymint writes; None for one to be judged line by line."""
-    head = _HEAD.match(document)
-    if head is None or len(document) > _MOST_LINES or b"\r" in document or b"\0" in document:
+    digits = document[_BEFORE_DIGITS : _BEFORE_DIGITS + _BOUNDARY]
+    head = _HEAD % (digits, digits)
+    if not (document.startswith(head) and _DIGITS.issuperset(digits) and len(document) <= _MOST_LINES):
         return None
-    protocol, digest, boundary = head.groups()
-    before = _BEFORE_SIGNATURE % protocol
     # Such a boundary cannot overlap itself, so that these are all that readers could take for separators.
-    parts = document[head.end() :].split(b"--" + boundary)
-    if len(parts) != _SEPARATORS:
+    parts = document[len(head) :].split(b"------" + digits)
+    if len(parts) != _SEPARATORS or b"\r" in document or b"\0" in document:
         return None
     text, encoded, end = parts
     try:
-        signature = a2b_base64(encoded[len(before) :])
+        signature = a2b_base64(encoded[len(_BEFORE_SIGNATURE) :])
     except ValueError:
         return None
-    is_exact = encoded == b"%b%b\n" % (before, der.base64_lines(signature)) and end.rstrip(b"\n") == b"--"
+    is_exact = encoded == b"%b%b\n" % (_BEFORE_SIGNATURE, der.base64_lines(signature)) and end.rstrip(b"\n") == b"--"
     if not (signature and is_exact and text.endswith(b"\n")):
         return None
-    return SignedDocument(text[:-1], signature, _BEFORE_CONTENT, _DIGESTS[digest])
+    return SignedDocument(text[:-1], signature, _BEFORE_CONTENT, "sha256")
 
 
 def refuse(where: Origin | None, line: int, problem: str) -> NoReturn:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import string
 from collections.abc import Iterable, Iterator, Mapping
 from datetime import UTC, datetime, timedelta
 from functools import lru_cache
@@ -51,7 +52,7 @@ def next_second(moment: datetime) -> datetime:
 
 
 Period = tuple[datetime, datetime]
-_GRANT = lazy_regex(rb'(<grant name=")[A-Za-z0-9_/]+(">\s*<subject_name>)([A-Za-z0-9_/=,]+)<')
+_PLAIN = frozenset(f"{string.ascii_letters}{string.digits}_/=,".encode())
 _TOPIC = lazy_regex(rb"<topic>[A-Za-z0-9_/*]+</topic>")
 _ANYONE = "CN=/n"
 
@@ -101,16 +102,21 @@ def _representative(content: bytes, subject_name: str) -> tuple[bytes, str]:
     it alike. It has no part in the times of a grant. Nor have the name and the subject of the only grant, if that is
     the identity's by every comparison. Each is replaced by another plain text; the line of the grant stays.
     """
-    grant = _GRANT.search(content)
+    before, _, grant = content.partition(b'<grant name="')
+    name, _, rest = grant.partition(b'">')
+    subject = subject_name.encode()
+    blanks, found, after = rest.partition(b"<subject_name>%b<" % subject)
     if (
-        grant is None
-        or grant[3] != subject_name.encode()
+        not found
+        or blanks.strip()
+        or not _PLAIN.issuperset(name + subject)
         or content.count(b"<grant") != 1
         or b"<!" in content
         or subject_name.count("/") + subject_name.count(",") >= subject_names.MAX_TOKENS
     ):
         return content, subject_name
-    return _TOPIC.sub(b"<topic>t</topic>", _GRANT.sub(rb"\1/n\2CN=/n<", content)), _ANYONE
+    alike = b'%b<grant name="/n">%b<subject_name>CN=/n<%b' % (before, blanks, after)
+    return _TOPIC.sub(b"<topic>t</topic>", alike), _ANYONE
 
 
 @lru_cache(maxsize=16)
