@@ -287,9 +287,9 @@ def option_group(kind: type, check: Callable[[Any], None] = lambda _: None, **op
 def option_texts(declared: object) -> tuple[str, Mapping[str, str]]:
     """Return a docstring without its part ``Options:``, and the texts in that by their names."""
     page, _, listed = (inspect.getdoc(declared) or "").partition("\n\nOptions:\n")
-    entries = listed.replace("\n     ", " ").splitlines()  # the further lines of a text are deeper than its name
-    found = (entry.partition(": ") for entry in entries)
-    return page, {name.strip(): " ".join(text.split()) for name, _, text in found}
+    # The further lines of a text are deeper than its name.
+    entries = (entry.partition(": ") for entry in listed.replace("\n     ", " ").splitlines())
+    return page, {name.strip(): " ".join(text.split()) for name, _, text in entries}
 
 
 def parameters_of(function: Callable[..., Any]) -> tuple[list[click.Parameter], Mapping[str, OptionGroup]]:

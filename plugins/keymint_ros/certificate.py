@@ -24,8 +24,7 @@ AUTHORITY_PLACEHOLDERS = ("name",)
 SUBJECT_PLACEHOLDERS = ("name", "subject", "common_name", "unique")
 """Placeholders of a package: its name, ``/`` + name, common name and unique suffix."""
 
-_BRACES = frozenset("{}")
-_PLACEHOLDER = lazy_regex(r"\{([^{}]*)\}|[{}]")
+_BRACES = lazy_regex(r"\{([^{}]*)\}|[{}]")
 
 
 def name_with_placeholders(element: etree._Element | None, known: Collection[str]) -> str | None:
@@ -39,7 +38,7 @@ def name_with_placeholders(element: etree._Element | None, known: Collection[str
     name = text(element) or ""
     # With a blank for each known placeholder, a name has no braces left.
     rest = functools.reduce(lambda rest, each: rest.replace(f"{{{each}}}", " "), known, name)
-    for match in () if _BRACES.isdisjoint(rest) else _PLACEHOLDER.finditer(name):
+    for match in () if {"{", "}"}.isdisjoint(rest) else _BRACES.finditer(name):
         if match.group(1) not in known:
             choices = ", ".join(f"{{{placeholder}}}" for placeholder in known)
             message = f"unknown placeholder {match.group()!r} in {name!r}"

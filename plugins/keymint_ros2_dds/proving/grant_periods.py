@@ -115,8 +115,8 @@ def _representative(content: bytes, subject_name: str) -> tuple[bytes, str]:
         or subject_name.count("/") + subject_name.count(",") >= subject_names.MAX_TOKENS
     ):
         return content, subject_name
-    alike = b'%b<grant name="/n">%b<subject_name>CN=/n<%b' % (before, blanks, after)
-    return _TOPIC.sub(b"<topic>t</topic>", alike), _ANYONE
+    alike = (before, b'<grant name="/n">', blanks, b"<subject_name>CN=/n<", after)
+    return _TOPIC.sub(b"<topic>t</topic>", b"".join(alike)), _ANYONE
 
 
 @lru_cache(maxsize=16)
