@@ -11,13 +11,13 @@ from __future__ import annotations
 import dataclasses
 import operator
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, Field, field
 from functools import cache, partial
 from types import MemberDescriptorType
 from typing import TYPE_CHECKING, Any, NoReturn, dataclass_transform
 
-__all__ = ["Data", "field", "replace"]
+__all__ = ["Data", "defaults_of", "field", "replace"]
 _FEW = 50
 """Objects of a class that are made before its ``__init__`` is generated."""
 _DECLARED = "__declared__"
@@ -83,6 +83,11 @@ else:
             return dataclasses.replace(given, **changes)
         values = [changes.pop(name) if name in changes else getattr(given, name) for name in _given(cls)[0]]
         return cls(*values, **changes)
+
+
+def defaults_of(cls: type) -> Mapping[str, Any]:
+    """Return the defaults of the fields of a data type by name, except those that are made for each object."""
+    return _given(cls)[1]
 
 
 @cache

@@ -13,7 +13,6 @@ import functools
 import inspect
 import os
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import fields
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
@@ -22,7 +21,7 @@ from typing import Any, cast
 import click
 from click.core import ParameterSource
 
-from comarmor.values import Data, replace
+from comarmor.values import Data, defaults_of, replace
 from keymint import SPACES
 from keymint.api.plugin_loader import Plugins
 from keymint.command_line.verb_group import VerbCommand, help_all
@@ -280,7 +279,7 @@ def option_group(kind: type, check: Callable[[Any], None] = lambda _: None, **op
         check: raises a usage error for values that exclude each other.
         options: options for further fields.
     """
-    declared = {each.name: each.default for each in fields(kind) if isinstance(each.default, functools.partial)}
+    declared = {name: each for name, each in defaults_of(kind).items() if isinstance(each, functools.partial)}
     return OptionGroup(kind, {**declared, **options}, check)
 
 

@@ -21,7 +21,6 @@ import sys
 import threading
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import fields
 from datetime import datetime
 from functools import partial
 from operator import attrgetter
@@ -76,7 +75,7 @@ _PART, _DONE, _REFUSED, _CRASHED = "part", "done", "refused", "crashed"
 _Stages = Sequence[Callable[[Session], PackageStage]]
 _Task = tuple[Session, Sequence[str], _Stages, NewPackages | None]
 """The workspace, the packages to plan, what makes each stage, and the packages that are new, if some may be."""
-_OTHERS = attrgetter(*(each.name for each in fields(PackagePlan) if each.name not in {"name", "step", "stamp"}))
+_OTHERS = attrgetter(*(name for name in PackagePlan.__annotations__ if name not in {"name", "step", "stamp"}))
 _Changes = Sequence[Sequence[Iterable[FolderChange]]]
 """The changes of each stage, in parts."""
 

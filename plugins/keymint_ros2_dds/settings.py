@@ -7,13 +7,12 @@ It is read from a package's document and its defaults.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import MISSING, fields
 from datetime import UTC, datetime
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 from comarmor.text import quote
-from comarmor.values import Data, field, replace
+from comarmor.values import Data, defaults_of, field, replace
 from comarmor.xml.reader import line
 from keymint import api
 from keymint.api.source_documents import DEFAULT_DOMAINS, Reader, domains, incomplete, signer, text
@@ -71,7 +70,7 @@ class DomainRule(Data):
 
 
 def _strict(rule: type[TopicProtection | DomainRule]) -> Mapping[str, Any]:
-    return {each.name: each.default for each in fields(rule) if each.compare and each.default is not MISSING}
+    return {name: default for name, default in defaults_of(rule).items() if default is not None}
 
 
 STRICT_DOMAIN, STRICT_TOPIC = _strict(DomainRule), _strict(TopicProtection)

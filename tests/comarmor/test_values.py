@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from hypothesis import given, strategies as st
 
-from comarmor.values import Data, replace
+from comarmor.values import Data, defaults_of, replace
 
 
 class Standard(type):
@@ -133,6 +133,13 @@ def test_they_behave_as_those_of_the_standard_library(name: str, one: int, other
             ]
         )  # fmt: skip
     assert seen[0] == seen[1]
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_their_defaults_are_those_of_their_fields(name: str) -> None:
+    fields = dataclasses.fields(THEIRS[name])
+    expected = {each.name: each.default for each in fields if each.default is not dataclasses.MISSING}
+    assert defaults_of(OURS[name]) == expected
 
 
 @pytest.mark.parametrize("name", OURS)
