@@ -12,7 +12,7 @@ from keymint_ros2_dds.settings import package_of
 
 from comarmor.errors import Origin
 from comarmor.patterns.steps import step_limit
-from keymint.analysis.lint.lint_rules import lint
+from keymint.analysis.lint_rules import lint
 from keymint.analysis.policy_diff import diff_policies
 from keymint.analysis.subject_patterns import rules_of
 from keymint.api import BuildOptions, LoadedPolicy, PolicySource

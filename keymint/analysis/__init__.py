@@ -5,5 +5,5 @@ Pure functions over rules and the proof engine. Answers hold for all possible na
 
 Start at :mod:`~keymint.analysis.rule_lists` for the question on one subject, and at
 :mod:`~keymint.analysis.symbolic_search` for that on all subjects at once. ``policy_diff``, ``query``, ``channels``,
-``policy_tests`` and ``lint/`` ask them.
+``policy_tests`` and ``lint_rules``, which finds likely mistakes, ask them.
 """

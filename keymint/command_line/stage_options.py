@@ -11,7 +11,7 @@ import click
 
 from comarmor.text import did_you_mean, lazy_regex
 from comarmor.values import Data
-from keymint.analysis.lint.attachment_mistakes import attachment_mistakes
+from keymint.analysis.attachment_mistakes import attachment_mistakes
 from keymint.api import Bootstrap, Hint, LoadedPolicy, WorkspaceProfile
 from keymint.api.plugin_loader import Plugins
 from keymint.command_line.options import DEFAULT_DISTRO, DEFAULT_PROFILE_TYPE, distro_option, valid_for_option

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from keymint.analysis.lint import redundant_rules
+from keymint.analysis import redundant_rules
 from tests.bounds import COMPILE, Sweep, changed
 from tests.effort import FULL, calls_of, tries
 from tests.families import FAMILIES

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from comarmor.text import quantity
-from keymint.analysis.lint.lint_rules import lint as look, portability, sorted_diagnostics
+from keymint.analysis.lint_rules import lint as look, portability, sorted_diagnostics
 from keymint.analysis.subject_patterns import pattern_examples, rules_of
 from keymint.api import BuildType
 from keymint.command_line.named_files import write_outputs

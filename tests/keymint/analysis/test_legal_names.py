@@ -9,7 +9,7 @@ from comarmor.errors import Origin
 from comarmor.patterns.decision_lists import Equal
 from comarmor.patterns.glob import parse
 from comarmor.rules import Effect, Rule
-from keymint.analysis.lint.redundant_rules import can_name_exist
+from keymint.analysis.redundant_rules import can_name_exist
 from keymint.analysis.rule_lists import allow_only, find_permitted
 
 

@@ -16,10 +16,9 @@ from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.relations import disjoint
 from comarmor.patterns.steps import spend, step_limit
 from comarmor.rules import Effect
-from keymint.analysis import subject_patterns
-from keymint.analysis.lint import lint_rules, name_similarity, redundant_rules
-from keymint.analysis.lint.lint_rules import lint
-from keymint.analysis.lint.name_similarity import NameTrie
+from keymint.analysis import lint_rules, name_similarity, redundant_rules, subject_patterns
+from keymint.analysis.lint_rules import lint
+from keymint.analysis.name_similarity import NameTrie
 from keymint.ir import Rule, SubjectRules
 from tests.effort import calls_of
 from tests.families import FAMILIES

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from comarmor.errors import Origin
-from keymint.analysis.lint.lint_rules import lint
+from keymint.analysis.lint_rules import lint
 from keymint.analysis.policy_tests import ExpectationChecker
 from keymint.api import Expectation
 from tests.conftest import Outcome

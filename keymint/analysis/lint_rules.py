@@ -17,11 +17,11 @@ from comarmor.patterns.steps import step_limit
 from comarmor.rules import is_fully_qualified
 from comarmor.text import did_you_mean
 from comarmor.values import replace
-from keymint.analysis.lint.attachment_mistakes import attachment_mistakes
-from keymint.analysis.lint.findings import ExpressionOrigins, quoted_list, undecided_note
-from keymint.analysis.lint.name_similarity import similar_names, similar_subjects
-from keymint.analysis.lint.object_mistakes import object_mistakes
-from keymint.analysis.lint.redundant_rules import MOST_PAIRS, RedundantRules, can_name_exist, within_bounds
+from keymint.analysis.attachment_mistakes import attachment_mistakes
+from keymint.analysis.findings import ExpressionOrigins, quoted_list, undecided_note
+from keymint.analysis.name_similarity import similar_names, similar_subjects
+from keymint.analysis.object_mistakes import object_mistakes
+from keymint.analysis.redundant_rules import MOST_PAIRS, RedundantRules, can_name_exist, within_bounds
 from keymint.analysis.rule_lists import RAW
 from keymint.analysis.subject_patterns import (
     ROOT_ENCLAVE,

@@ -10,7 +10,7 @@ import pytest
 from comarmor.patterns.decision_lists import Equal
 from comarmor.patterns.glob import parse
 from comarmor.patterns.possible_names import advice, matches_ros_name
-from keymint.analysis.lint.attachment_mistakes import attachment_mistakes
+from keymint.analysis.attachment_mistakes import attachment_mistakes
 from keymint.analysis.rule_lists import allow_only, find_permitted
 from tests.generated import tokens
 from tests.keymint.analysis.policies import deny, loaded_text, rule

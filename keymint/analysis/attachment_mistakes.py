@@ -19,7 +19,7 @@ from comarmor.text import first_few
 from keymint.api import PolicyStructure, WrittenProfile, WrittenRule, lazy
 from keymint.errors import Diagnostic
 
-_undecided_note = lazy("keymint.analysis.lint.findings:undecided_note")
+_undecided_note = lazy("keymint.analysis.findings:undecided_note")
 _fixed_expressions = lazy("keymint.analysis.subject_patterns:fixed_expressions")
 _profile_chain = lazy("keymint.analysis.subject_patterns:profile_chain")
 STEPS = 2_000_000

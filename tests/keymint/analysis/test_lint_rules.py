@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from keymint.analysis.lint.lint_rules import lint
+from keymint.analysis.lint_rules import lint
 from tests.keymint.analysis.policies import deny, loaded, profile, rule
 
 PUB = ("ros_topic", "ros_publish")

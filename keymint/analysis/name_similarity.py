@@ -16,7 +16,7 @@ from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.steps import StepLimitError, spend, step_counting_cache, step_limit
 from comarmor.rules import KIND_OF, Effect, is_fully_qualified
 from comarmor.text import lazy_regex
-from keymint.analysis.lint.findings import ExpressionOrigins, undecided_note
+from keymint.analysis.findings import ExpressionOrigins, undecided_note
 from keymint.api import PolicyStructure
 from keymint.errors import Diagnostic, Origin
 from keymint.ir import Rule

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from hypothesis import given, strategies as st
 
-from keymint.analysis.lint.name_similarity import NameTrie
+from keymint.analysis.name_similarity import NameTrie
 
 NAMES = st.text(alphabet="ab/", max_size=5)
 

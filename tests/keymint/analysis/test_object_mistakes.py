@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from keymint.analysis.lint.lint_rules import lint
-from keymint.analysis.lint.object_mistakes import MOST_QUESTIONS
-from tests.keymint.analysis.lint.test_lint_rules import found
+from keymint.analysis.lint_rules import lint
+from keymint.analysis.object_mistakes import MOST_QUESTIONS
 from tests.keymint.analysis.policies import deny, loaded, profile, rule
+from tests.keymint.analysis.test_lint_rules import found
 
 SERVES = rule("ros_service", "ros_execute", "{namespace}{name}/get_parameters", "{namespace}{name}/set_parameters")
 

@@ -21,7 +21,7 @@ from comarmor.patterns.relations import TooComplexError
 from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.patterns.tokens import SPECIAL
 from comarmor.rules import Effect, parts
-from keymint.analysis.lint.findings import ExpressionOrigin, ExpressionOrigins, quoted_list, undecided_note
+from keymint.analysis.findings import ExpressionOrigin, ExpressionOrigins, quoted_list, undecided_note
 from keymint.analysis.rule_lists import (
     PermissionKey,
     allow_only,

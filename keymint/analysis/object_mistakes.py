@@ -14,8 +14,8 @@ from comarmor.patterns.glob import literal, parse, prefix
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.rules import KIND_OF, Effect
 from comarmor.text import quantity
-from keymint.analysis.lint.findings import ExpressionOrigins, undecided_note
-from keymint.analysis.lint.name_similarity import MOST_EDITS, CandidateNames
+from keymint.analysis.findings import ExpressionOrigins, undecided_note
+from keymint.analysis.name_similarity import MOST_EDITS, CandidateNames
 from keymint.analysis.query import who_can
 from keymint.api import LoadedPolicy
 from keymint.errors import Diagnostic, Origin, Spot

@@ -8,8 +8,8 @@ from random import Random
 
 import pytest
 
-from keymint.analysis.lint import redundant_rules
-from keymint.analysis.lint.lint_rules import lint
+from keymint.analysis import redundant_rules
+from keymint.analysis.lint_rules import lint
 from tests.effort import tries
 from tests.generated import pretty, tokens
 from tests.keymint.analysis.policies import deny, loaded_text, profile, rule
