@@ -6,7 +6,7 @@ from __future__ import annotations
 import pytest
 from lxml import etree
 
-from comarmor.xml.schema import SchemaVocabulary
+from comarmor.xml.schema_violations import SchemaVocabulary
 
 MAIN = b"""<xs:schema xmlns:xs="http://www.w3.org/2001/XMLSchema">
   <xs:element name="top" type="Root"/>
