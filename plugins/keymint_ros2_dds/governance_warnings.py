@@ -18,8 +18,9 @@ from keymint.errors import Diagnostic, Origin, Severity
 from keymint_ros2_dds.documents import governance_document
 from keymint_ros2_dds.domains import in_words, uncovered_domains
 from keymint_ros2_dds.lowering.lowered_rules import Lowered, lower
+from keymint_ros2_dds.lowering.name_mapping import TopicAction
 from keymint_ros2_dds.proving import document_lists, octets
-from keymint_ros2_dds.proving.enclave_governance import ACCEPT, cuts
+from keymint_ros2_dds.proving.enclave_governance import ACCEPT, ACTIONS, cuts
 from keymint_ros2_dds.reading.signed_governance import ACCESS, JOIN, UNAUTHENTICATED
 from keymint_ros2_dds.settings import DomainRule, TopicProtection, settings_of
 
@@ -96,7 +97,7 @@ def _open_topics(
         effective = [pattern for pattern in patterns if not union_covers(tuple(earlier), pattern)]
         if not effective:
             continue
-        open_ = [action for action, tag in ACCESS.items() if not getattr(topic, tag)]
+        open_ = [action for action in ACTIONS if not getattr(topic, ACCESS[action])]
         if open_ and inside and lowered is None:
             lowered = lower(package.grant.rules, package.distro)
         for action in open_:
@@ -120,7 +121,7 @@ def _is_unprotected(rule: DomainRule, topic: TopicProtection) -> bool:
     return {rule.rtps_protection_kind, topic.metadata_protection_kind, topic.data_protection_kind} == {"NONE"}
 
 
-def _allowed(lowered: Lowered, action: str, earlier: tuple[Glob, ...], patterns: tuple[Glob, ...]) -> bool:
+def _allowed(lowered: Lowered, action: TopicAction, earlier: tuple[Glob, ...], patterns: tuple[Glob, ...]) -> bool:
     """Tell whether a policy allows all topics that a rule leaves open, in every partition."""
     opened: DecisionList = tuple(
         Block(allows, tuple(octets.pair(EVERYTHING, octets.of_glob(topic)) for topic in topics))

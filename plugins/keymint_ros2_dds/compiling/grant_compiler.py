@@ -19,7 +19,7 @@ from keymint.ir import Rule
 from keymint_ros2_dds.compiling.rewriting import GUARD, EndpointCounts, gathered_rules, prioritised_rules
 from keymint_ros2_dds.compiling.rule_order import portable_rules, rule_per_policy_rule, standard_rules
 from keymint_ros2_dds.lowering.lowered_rules import GrantRule, Lowered, lower
-from keymint_ros2_dds.lowering.name_mapping import TopicAction, check_distro, has_kind
+from keymint_ros2_dds.lowering.name_mapping import TOPIC_ACTIONS, TopicAction, check_distro, has_kind
 from keymint_ros2_dds.lowering.portable_expressions import (
     NotPortableError,
     UnportableError,
@@ -65,7 +65,7 @@ def compile_rules(permissions: Grant, distro: str, options: BuildOptions) -> Com
     check_distro(distro)
     lowered = lower(permissions.rules, distro)
     report = _PortabilityReport(lowered, permissions.rules.subject, options.allow_vendor_specific)
-    for action in TopicAction:
+    for action in TOPIC_ACTIONS:
         for pattern, reason in unsafe(lowered.allow[action]):
             report.add("portability-partition", action, pattern, reason)
     minimal = report.with_expressions(_minimal_rules(lowered, report))
@@ -151,7 +151,7 @@ class _PortabilityReport(Data, frozen=False):
 
     def _expressions(self, rule: GrantRule[Glob]) -> Iterator[tuple[TopicAction, tuple[str, ...]]]:
         """Yield the sorted expressions of a rule by action."""
-        for action in TopicAction:
+        for action in TOPIC_ACTIONS:
             if action not in rule.topics:
                 continue
             texts: set[str] = set()
@@ -179,7 +179,7 @@ def vendor_notes(rules: Sequence[GrantRule[str]], permissions: Grant) -> Iterato
     if not rules:
         message = f"{subject} is allowed nothing, so it may not join a domain either"
         yield Diagnostic.note("no-permissions", message, where, "allow something if it is to take part", subject)
-    if any(TopicAction.RELAY in rule.topics for rule in rules):
+    if any("relay" in rule.topics for rule in rules):
         message = "Cyclone DDS and OpenDDS ignore permissions to relay"
         yield Diagnostic.warning("vendor-relay", message, where, "do not rely on them there", subject)
     expressions = {text for rule in rules for text in rule.every_topic()}

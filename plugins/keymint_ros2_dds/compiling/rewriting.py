@@ -35,7 +35,7 @@ MIN_SAVED_PART = 10
 
 _RULE, _CRITERIA, _TOPIC = 130, 90, 28
 """Approximate bytes of a rule, of its criteria for an action, and of an expression, without the texts in them."""
-_ACTIONS = (TopicAction.PUBLISH, TopicAction.SUBSCRIBE)
+_ACTIONS: tuple[TopicAction, ...] = ("publish", "subscribe")
 _Gathered = dict[Partitions, dict[TopicAction, tuple[str, ...]]]
 """Gathered topics by partitions and action."""
 
@@ -55,7 +55,7 @@ def gathered_rules(rules: Sequence[GrantRule[str]], *, min_saved: int | None = N
         min_saved = max(MIN_SAVED, size // MIN_SAVED_PART)
     if most < min_saved or _most_shared(rules) < min_saved:
         return tuple(rules)
-    relay = next((n for n, rule in enumerate(rules) if rule.topics.keys() == {TopicAction.RELAY}), len(rules))
+    relay = next((n for n, rule in enumerate(rules) if rule.topics.keys() == {"relay"}), len(rules))
     endpoints, relays = rules[:relay], rules[relay:]
     movable = _named_once(endpoints)
     remaining: list[GrantRule[str]] = []
@@ -199,7 +199,7 @@ def _weight(text: str, times: Counter[str]) -> int:
 
 def _may_swap(before: GrantRule[str], rule: GrantRule[str], *, is_end: bool) -> bool:
     """Tell whether a rule may move before its predecessor; at an end, one of them is the first or the last rule."""
-    if (TopicAction.RELAY in before.topics) is not (TopicAction.RELAY in rule.topics):
+    if ("relay" in before.topics) is not ("relay" in rule.topics):
         return False  # relay rules, which some vendors ignore, stay at the end
     if before.effect is not rule.effect and (is_end or GUARD in before.every_topic()):
         return False  # a guard denies what the gathered topics after it match on Cyclone DDS only

@@ -30,7 +30,7 @@ from comarmor.values import Data
 from keymint.api import lazy
 from keymint_ros2_dds.compiling.arrangement import Arrangement, arrange, early_rules
 from keymint_ros2_dds.lowering.lowered_rules import DEFAULT, EVERY, GrantRule, Lowered, Partitions, with_leading_allow
-from keymint_ros2_dds.lowering.name_mapping import TopicAction
+from keymint_ros2_dds.lowering.name_mapping import TOPIC_ACTIONS, TopicAction
 from keymint_ros2_dds.lowering.portable_expressions import Step, UnportableError
 
 _uniform = lazy("keymint_ros2_dds.compiling.partitions:uniform")  # few policies have partitions
@@ -185,8 +185,10 @@ def portable_rules(lowered: Lowered, *, reduced: bool = True) -> tuple[GrantRule
         UnportableError: Cyclone DDS and the standard would disagree on every order, or the partitions cannot be
             expressed portably across DDS vendors.
     """
-    groups = {each: rule_groups(each, lowered.allow[each], lowered.deny[each], reduced=reduced) for each in TopicAction}
-    relay = groups.pop(TopicAction.RELAY)
+    groups = {
+        each: rule_groups(each, lowered.allow[each], lowered.deny[each], reduced=reduced) for each in TOPIC_ACTIONS
+    }
+    relay = groups.pop("relay")
     relay_rules = [*(rule for group in relay for rule in group.free), *(r for group in relay for r in group.ordered)]
     return with_leading_allow([*_both_directions(groups), *merged_rules(relay_rules)])
 
@@ -196,7 +198,8 @@ def _both_directions(groups: _Groups) -> list[GrantRule[Glob]]:
     free = [rule for action in groups for group in groups[action] for rule in group.free]
     if not any(group.ordered for action in groups for group in groups[action]):
         return merged_rules(free)
-    publish, subscribe = TopicAction.PUBLISH, TopicAction.SUBSCRIBE
+    publish: TopicAction = "publish"
+    subscribe: TopicAction = "subscribe"
     orders: list[tuple[tuple[TopicAction, ...], tuple[TopicAction, ...]]]
     orders = [((publish, subscribe), (subscribe,)), ((subscribe, publish), (publish,))]
     if all(group.arrangement for group in (*groups[publish], *groups[subscribe])):
@@ -235,7 +238,7 @@ def _early(action: TopicAction, groups: _Groups, free: Iterable[GrantRule[Glob]]
     Raises:
         UnportableError: there are no such rules.
     """
-    other = TopicAction.SUBSCRIBE if action is TopicAction.PUBLISH else TopicAction.PUBLISH
+    other: TopicAction = "subscribe" if action == "publish" else "publish"
     denials = (rule for group in groups[other] for rule in group.ordered if rule.effect is Effect.DENY)
     denied = [pattern for rule in denials for pattern in rule.every_topic()]
     result: list[_Early] = []
@@ -320,7 +323,7 @@ def standard_rules(lowered: Lowered) -> tuple[GrantRule[Glob], ...]:
     for effect, sides in ((Effect.DENY, lowered.deny), (Effect.ALLOW, lowered.allow)):
         rules = [
             GrantRule(effect, partitions or (EVERY if effect is Effect.DENY else DEFAULT), {action: (pattern,)})
-            for action in TopicAction
+            for action in TOPIC_ACTIONS
             for pattern, partitions in sides[action]
         ]
         result += merged_rules(sorted(rules, key=lambda rule: rule.partitions))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import compress
+from typing import cast
 
 from comarmor.patterns import glob
 from comarmor.patterns.expression import canonical
@@ -35,7 +36,7 @@ from keymint_ros2_dds.enclave_layout import (
     PERMISSIONS_ROLE,
     PERMISSIONS_XML,
 )
-from keymint_ros2_dds.lowering.name_mapping import TopicAction, in_ros
+from keymint_ros2_dds.lowering.name_mapping import TOPIC_ACTIONS, TopicAction, in_ros
 from keymint_ros2_dds.proving.document_lists import have_partitions
 from keymint_ros2_dds.proving.enclave_governance import cuts
 from keymint_ros2_dds.proving.grant_periods import grant_periods
@@ -221,9 +222,9 @@ def _steps(document: PermissionsDocument, grant: DocumentGrant, rules: Sequence[
                 partitions = ()
             for topic in topics:
                 if topic and not glob.is_empty(topic):
-                    yield _Step(effect, TopicAction(criteria.action), topic, partitions, where)
+                    yield _Step(effect, cast("TopicAction", criteria.action), topic, partitions, where)
     if grant.allows:
-        for action in TopicAction:
+        for action in TOPIC_ACTIONS:
             yield _Step(Effect.ALLOW, action, EVERYTHING, (EVERYTHING,), document.place(grant.line))
 
 
@@ -259,7 +260,7 @@ def _unsayable(message: str, where: Origin, help_: str) -> KeymintError:
 
 
 def _overlap(allowing: _Step, denying: _Step) -> bool:
-    if allowing.action is not denying.action:
+    if allowing.action != denying.action:
         return False
     own = allowing.partitions or ((),)
     shared = not denying.partitions or any(not disjoint(a, b) for a in own for b in denying.partitions)

@@ -23,7 +23,14 @@ from comarmor.values import Data
 from keymint.errors import Diagnostic, KeymintError
 from keymint.ir import Rule, SubjectRules
 from keymint_ros2_dds.lowering import name_mapping
-from keymint_ros2_dds.lowering.name_mapping import TopicAction, dds_patterns, has_kind, needed_topics, parse_expression
+from keymint_ros2_dds.lowering.name_mapping import (
+    TOPIC_ACTIONS,
+    TopicAction,
+    dds_patterns,
+    has_kind,
+    needed_topics,
+    parse_expression,
+)
 
 Partitions = tuple[str, ...]
 """Partition expressions, sorted."""
@@ -86,7 +93,7 @@ class Lowered(Data):
     def patterns(self) -> Iterator[tuple[Effect, TopicAction, Glob, Rule]]:
         """Yield every pattern with its rule, those of ALLOW rules first."""
         for effect, sides in ((Effect.ALLOW, self.allow), (Effect.DENY, self.deny)):
-            for action in TopicAction:
+            for action in TOPIC_ACTIONS:
                 for (pattern, _), rule in sides[action].items():
                     yield effect, action, pattern, rule
 
@@ -104,7 +111,7 @@ def lower(rules: SubjectRules, distro: str) -> Lowered:
     if unknown := [_unknown(rule, distro, rules.subject) for rule in rules.rules if not has_kind(distro, rule.kind)]:
         raise KeymintError.of(unknown)
     sides: dict[Effect, dict[TopicAction, dict[tuple[Glob, Partitions], Rule]]] = {
-        effect: {action: {} for action in TopicAction} for effect in Effect
+        effect: {action: {} for action in TOPIC_ACTIONS} for effect in Effect
     }
     diagnostics: list[Diagnostic] = []
     for rule in rules.rules:

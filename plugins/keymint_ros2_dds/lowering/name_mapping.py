@@ -19,10 +19,10 @@ Nothing is lost: each rule means exactly its patterns.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from enum import StrEnum
 from functools import lru_cache
 from itertools import product
 from types import MappingProxyType
+from typing import Literal, get_args
 
 from comarmor.patterns import glob
 from comarmor.patterns.glob import Glob
@@ -34,13 +34,9 @@ from comarmor.text import did_you_mean
 from comarmor.values import Data
 from keymint.errors import KeymintError, Origin
 
-
-class TopicAction(StrEnum):
-    """What a rule of a permissions document permits or denies (DDS Security 1.1, 9.4.1.3.2.3)."""
-
-    PUBLISH = "publish"
-    SUBSCRIBE = "subscribe"
-    RELAY = "relay"
+TopicAction = Literal["publish", "subscribe", "relay"]
+"""What a rule of a permissions document permits or denies (DDS Security 1.1, 9.4.1.3.2.3)."""
+TOPIC_ACTIONS: tuple[TopicAction, ...] = get_args(TopicAction)
 
 
 class DdsTopic(Data):
@@ -59,14 +55,14 @@ class DdsTopic(Data):
 
 DDS_TOPICS: Mapping[str, tuple[DdsTopic, ...]] = MappingProxyType(
     {
-        "publish": (DdsTopic(TopicAction.PUBLISH),),
-        "subscribe": (DdsTopic(TopicAction.SUBSCRIBE),),
-        "relay": (DdsTopic(TopicAction.RELAY),),
-        "ros_publish": (DdsTopic(TopicAction.PUBLISH, "rt"),),
-        "ros_subscribe": (DdsTopic(TopicAction.SUBSCRIBE, "rt"),),
-        "ros_relay": (DdsTopic(TopicAction.RELAY, "rt"),),
-        "ros_call": (DdsTopic(TopicAction.PUBLISH, "rq", "Request"), DdsTopic(TopicAction.SUBSCRIBE, "rr", "Reply")),
-        "ros_execute": (DdsTopic(TopicAction.SUBSCRIBE, "rq", "Request"), DdsTopic(TopicAction.PUBLISH, "rr", "Reply")),
+        "publish": (DdsTopic("publish"),),
+        "subscribe": (DdsTopic("subscribe"),),
+        "relay": (DdsTopic("relay"),),
+        "ros_publish": (DdsTopic("publish", "rt"),),
+        "ros_subscribe": (DdsTopic("subscribe", "rt"),),
+        "ros_relay": (DdsTopic("relay", "rt"),),
+        "ros_call": (DdsTopic("publish", "rq", "Request"), DdsTopic("subscribe", "rr", "Reply")),
+        "ros_execute": (DdsTopic("subscribe", "rq", "Request"), DdsTopic("publish", "rr", "Reply")),
     }
 )
 """The DDS topics of each permission that is not composite."""
@@ -263,7 +259,7 @@ def in_ros(patterns: Iterable[tuple[TopicAction, Glob]], distro: str) -> Mapping
         for kind, permissions in _PERMISSIONS.items():
             for permission in permissions:
                 first, *_ = topics = DDS_TOPICS[permission]
-                names = (_name(pattern, first) for action, pattern in left if action is first.action)
+                names = (_name(pattern, first) for action, pattern in left if action == first.action)
                 for name in filter(None, names):
                     if all(_topic_of(topic, name) in left for topic in topics):
                         found[kind, permission, name] = _topic_of(first, name)

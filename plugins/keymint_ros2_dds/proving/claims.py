@@ -19,6 +19,7 @@ from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.domains import merged_domains
 from keymint_ros2_dds.enclave_layout import PERMISSIONS
 from keymint_ros2_dds.lowering.lowered_rules import Lowered, lower
+from keymint_ros2_dds.lowering.name_mapping import TopicAction
 from keymint_ros2_dds.proving import document_lists as lists, enclave_governance, octets
 from keymint_ros2_dds.proving.enclave_governance import ACTIONS, EnclaveGovernance, unread_topic
 from keymint_ros2_dds.proving.grant_periods import grant_periods
@@ -152,7 +153,7 @@ class _Model:
         for (applies, *_), group in groups.items():
             yield tuple(merged_domains(group)), bool(applies)
 
-    def _claim(self, action: str, domains: tuple[DomainRange, ...], *, inside: bool) -> Claim:
+    def _claim(self, action: TopicAction, domains: tuple[DomainRange, ...], *, inside: bool) -> Claim:
         domain, semantics, governance = domains[0].first, self._semantics, self._governance
         rule = None if self._unmodelled else self._rule(domain)
         universe = octets.PAIRS if self._comparison.pairs else octets.TOPICS

@@ -23,7 +23,7 @@ from comarmor.rules import Effect
 from comarmor.values import Data, replace
 from keymint_ros2_dds.decision.semantics import Semantics
 from keymint_ros2_dds.lowering.lowered_rules import Lowered, Partitions
-from keymint_ros2_dds.lowering.name_mapping import TopicAction
+from keymint_ros2_dds.lowering.name_mapping import TOPIC_ACTIONS, TopicAction
 from keymint_ros2_dds.proving import octets
 from keymint_ros2_dds.reading.signed_governance import DocumentDomainRule
 from keymint_ros2_dds.reading.signed_permissions import DocumentCriteria, DocumentGrant, DocumentRule
@@ -45,13 +45,13 @@ def have_partitions(grants: Sequence[DocumentGrant]) -> bool:
     return any(criteria.partitions not in {None, ("",)} for rule in allowing for criteria in rule.criteria)
 
 
-def of_policy(lowered: Lowered, action: str, *, pairs: bool) -> DecisionList:
+def of_policy(lowered: Lowered, action: TopicAction, *, pairs: bool) -> DecisionList:
     """Return the decision list of a policy for an action: deny overrides allow."""
     blocks = []
     for effect, sides in ((Effect.DENY, lowered.deny), (Effect.ALLOW, lowered.allow)):
         every = (EVERYTHING,) if effect is Effect.DENY else (_DEFAULT,)
         topics: dict[Partitions, list[Glob]] = {}
-        for topic, partitions in sides[TopicAction(action)]:
+        for topic, partitions in sides[action]:
             topics.setdefault(partitions, []).append(octets.of_glob(topic))
         words: dict[Glob, None] = {}
         for partitions, own in topics.items():
@@ -84,7 +84,7 @@ def of_grant(
     if semantics.topic_check:
         # The first criteria that match the topic decide, of one direction or any.
         either = semantics.topic_check == "either"
-        actions = {action} if either else {*TopicAction} - {TopicAction.RELAY}
+        actions = {action} if either else {*TOPIC_ACTIONS} - {"relay"}
         naming = ((rule.allows, each.topics) for rule in rules for each in rule.criteria if each.action in actions)
         topics = ((allows, _read(expressions, semantics)) for allows, expressions in naming)
         blocks = (Block(allows, _words((EVERYTHING,), globs, pairs=pairs)) for allows, globs in topics)

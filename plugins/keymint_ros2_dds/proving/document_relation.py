@@ -17,7 +17,7 @@ from keymint.api import ComparisonTask, Counterexample, DocumentComparison, Rela
 from keymint.errors import KeymintError
 from keymint_ros2_dds.decision.semantics import OMG
 from keymint_ros2_dds.lowering.lowered_rules import lower
-from keymint_ros2_dds.lowering.name_mapping import TopicAction
+from keymint_ros2_dds.lowering.name_mapping import TOPIC_ACTIONS
 from keymint_ros2_dds.proving import document_lists, octets
 from keymint_ros2_dds.proving.document_lists import NOTHING
 from keymint_ros2_dds.proving.grant_periods import grant_periods
@@ -94,7 +94,7 @@ class _Comparison:
         for domains, inside, applying in self._question.domains(rules, _SEMANTICS):
             if (inside, applying) not in seen:
                 seen.add((inside, applying))
-                for action, era in product(TopicAction, self._eras or (None,)):
+                for action, era in product(TOPIC_ACTIONS, self._eras or (None,)):
                     yield Situation(action, domains.first, inside, era)
 
     def _only(self, more: DecisionList, less: DecisionList) -> Sequence[str]:

@@ -21,6 +21,7 @@ from keymint import api
 from keymint.errors import Reason
 from keymint_ros2_dds.decision.semantics import STANDARD, Semantics, Variation
 from keymint_ros2_dds.documents import governance_document
+from keymint_ros2_dds.lowering.name_mapping import TopicAction
 from keymint_ros2_dds.proving import octets
 from keymint_ros2_dds.proving.document_lists import is_closed, patterns
 from keymint_ros2_dds.reading import signed_governance
@@ -29,7 +30,7 @@ from keymint_ros2_dds.reading.signed_permissions import DocumentDomains
 from keymint_ros2_dds.settings import settings_of
 
 _domain_access = api.lazy("keymint_ros2_dds.decision.evaluator:DomainAccess")
-ACTIONS = ("publish", "subscribe")
+ACTIONS: tuple[TopicAction, ...] = ("publish", "subscribe")
 LAST_DOMAIN = 232
 """The highest domain id whose ports exist for any participant (DDSI-RTPS 2.3, 9.6.1.1)."""
 

@@ -23,7 +23,6 @@ from comarmor.text import lazy_regex
 from comarmor.values import replace
 from keymint.ir import Rule, SubjectRules
 from keymint_ros2_dds.decision.semantics import STANDARD, Semantics
-from keymint_ros2_dds.lowering.name_mapping import TopicAction
 from keymint_ros2_dds.reading import dialects
 from keymint_ros2_dds.reading.signed_permissions import DocumentCriteria, DocumentGrant, PermissionsDocument
 
@@ -137,6 +136,6 @@ def _expressions(grants: Iterable[DocumentGrant], semantics: Semantics) -> Itera
     for grant in grants:
         for rule in grant.rules:
             for criteria in rule.criteria:
-                if criteria.action != TopicAction.RELAY:
+                if criteria.action != "relay":
                     for text in (*criteria.topics, *(criteria.partitions or ())):
                         yield semantics.reads_text(text), criteria

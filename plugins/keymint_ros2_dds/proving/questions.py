@@ -117,7 +117,7 @@ class Situation(Data):
         era: the grant in force, and its period; None if none ever is.
     """
 
-    action: str
+    action: TopicAction
     domain: int
     inside: bool
     era: GrantPeriod | None
@@ -211,7 +211,7 @@ class Counterexamples(Data):
         return api.Verdict(allowed=False, reason=reason, where=document.place(grant.line))
 
     def _policy_decision(self, situation: Situation, topic: str, partition: str, *, permitted: bool) -> PolicyDecision:
-        if situation.action == TopicAction.RELAY:  # the evaluator of policies knows no relay
+        if situation.action == "relay":  # the evaluator of policies knows no relay
             verb = "allow" if situation.inside and not permitted else "do not allow"
             return PolicyDecision(allowed=not permitted, where=None, reason=Reason((f"the rules {verb} it",)))
         if not situation.inside:

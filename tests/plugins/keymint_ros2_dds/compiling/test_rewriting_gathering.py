@@ -15,7 +15,6 @@ from keymint_ros2_dds import build_type
 from keymint_ros2_dds.compiling import grant_compiler, rewriting
 from keymint_ros2_dds.compiling.rewriting import GUARD, gathered_rules
 from keymint_ros2_dds.lowering.lowered_rules import DEFAULT, GrantRule
-from keymint_ros2_dds.lowering.name_mapping import TopicAction
 
 from comarmor.errors import Severity
 from comarmor.rules import Effect
@@ -68,7 +67,7 @@ def test_gathering_keeps_partitions(drawn):
 )
 def test_names_are_left_as_they_are_early_only_where_gathering_saves_too_little(drawn, saved):
     form = tuple(
-        GrantRule(effect, DEFAULT, {TopicAction.PUBLISH: tuple(sorted(set(texts)))})
+        GrantRule(effect, DEFAULT, {"publish": tuple(sorted(set(texts)))})
         for effect, texts in zip(itertools.cycle([Effect.ALLOW, Effect.DENY]), drawn, strict=False)
         if texts
     )

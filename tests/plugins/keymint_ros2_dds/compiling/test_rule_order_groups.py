@@ -15,7 +15,7 @@ from keymint_ros2_dds.lowering.portable_expressions import UnportableError
 from comarmor.patterns.glob import matches, parse
 from comarmor.rules import Effect
 
-PUBLISH, SUBSCRIBE = TopicAction.PUBLISH, TopicAction.SUBSCRIBE
+PUBLISH, SUBSCRIBE = "publish", "subscribe"
 NAMES = ["".join(word) for size in range(1, 4) for word in itertools.product("ab", repeat=size)]
 PATTERNS = st.lists(st.sampled_from(["a", "b", "*", "?"]), min_size=1, max_size=3).map("".join).map(parse)
 LISTS = st.sampled_from([(), ("p",), ("q",), ("p", "q"), ("*",)])

@@ -10,7 +10,7 @@ from hypothesis import given, strategies as st
 from keymint_ros2_dds import build_type
 from keymint_ros2_dds.documents import dds_xml, permissions_document
 from keymint_ros2_dds.lowering.lowered_rules import DEFAULT, GrantRule
-from keymint_ros2_dds.lowering.name_mapping import TopicAction
+from keymint_ros2_dds.lowering.name_mapping import TOPIC_ACTIONS
 from lxml import etree
 
 from comarmor.rules import Effect
@@ -49,7 +49,7 @@ def test_names_are_escaped_as_xml():
 TEXTS = st.text(
     st.characters(codec="utf-8", exclude_categories=["Cc", "Cs"], exclude_characters="\ufffe\uffff"), min_size=1
 )
-ACTIONS = st.sampled_from(["publish", "subscribe", "relay"]).map(TopicAction)
+ACTIONS = st.sampled_from(TOPIC_ACTIONS)
 
 
 @given(

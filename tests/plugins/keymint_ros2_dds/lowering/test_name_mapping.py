@@ -8,7 +8,6 @@ from keymint_ros2_dds.lowering.name_mapping import (
     DDS_TOPICS,
     DISTROS,
     DdsTopic,
-    TopicAction,
     check_distro,
     dds_patterns,
 )
@@ -48,7 +47,7 @@ def test_the_image_of_a_topic(expression, images):
 
 def test_a_service_is_two_topics():
     client, server = DDS_TOPICS["ros_call"], DDS_TOPICS["ros_execute"]
-    assert client == (DdsTopic(TopicAction.PUBLISH, "rq", "Request"), DdsTopic(TopicAction.SUBSCRIBE, "rr", "Reply"))
+    assert client == (DdsTopic("publish", "rq", "Request"), DdsTopic("subscribe", "rr", "Reply"))
     assert {(one.prefix, one.suffix) for one in client} == {(one.prefix, one.suffix) for one in server}
     assert {one.action for one in client if one.prefix == "rq"} != {one.action for one in server if one.prefix == "rq"}
     assert images_of("/add", client[0]) == (("rq/addRequest",),)

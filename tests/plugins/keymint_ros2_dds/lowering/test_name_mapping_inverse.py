@@ -6,7 +6,7 @@ from __future__ import annotations
 import pytest
 from hypothesis import given, strategies as st
 from keymint_ros2_dds.lowering.lowered_rules import lower
-from keymint_ros2_dds.lowering.name_mapping import DDS_TOPICS, TopicAction, in_ros
+from keymint_ros2_dds.lowering.name_mapping import DDS_TOPICS, TOPIC_ACTIONS, TopicAction, in_ros
 
 from comarmor.errors import Origin
 from comarmor.patterns.expression import canonical
@@ -14,7 +14,7 @@ from comarmor.patterns.glob import Glob, parse
 from comarmor.rules import KIND_OF, PERMISSIONS, Effect, Rule, of_raw_topic
 from keymint.ir import SubjectRules
 
-PUBLISH, SUBSCRIBE, RELAY = TopicAction
+PUBLISH, SUBSCRIBE, RELAY = TOPIC_ACTIONS
 PATTERNS = ("/a", "/a/b", "/*", "/r?/x", "/[ab]*/x", "/a/*/b*")
 
 
@@ -25,7 +25,7 @@ def found(*patterns: tuple[TopicAction, str], distro: str = "jazzy") -> set[tupl
 
 def lowered(rules: list[Rule], distro: str = "jazzy") -> set[tuple[TopicAction, Glob]]:
     sides = lower(SubjectRules("/s", tuple(rules)), distro).allow
-    return {(action, pattern) for action in TopicAction for pattern, _ in sides[action]}
+    return {(action, pattern) for action in TOPIC_ACTIONS for pattern, _ in sides[action]}
 
 
 def rule(kind: str, permission: str, *names: str) -> Rule:
