@@ -174,7 +174,7 @@ def test_a_blank_after_the_subject_is_not_plain() -> None:
 
 
 def test_a_minimum_above_the_highest_domain_is_not_plain() -> None:
-    rules = (GrantRule(Effect.ALLOW, DEFAULT, {TopicAction.PUBLISH: ("rt/a",)}),)
+    rules = (GrantRule(Effect.ALLOW, DEFAULT, {"publish": ("rt/a",)}),)
     content = permissions_document.render(replace(package().grant, domains=(DomainRange(3, 230),)), rules)
     assert signed_permissions.is_plain(content)
     assert not signed_permissions.is_plain(content.replace(b"<min>3<", b"<min>231<"))
