@@ -48,6 +48,6 @@ def validate(
     compiled = _compiled(owner, name)
     if compiled.validate(root):
         return
-    from comarmor.xml.schema_violations import explained  # noqa: PLC0415 - only messages of errors need it
+    from comarmor.xml.schema_violations import explained_violations  # noqa: PLC0415 - only messages of errors need it
 
-    raise ComArmorError.of(explained(root, compiled.error_log, _path(owner, name), file, chain))
+    raise ComArmorError.of(explained_violations(root, compiled.error_log, _path(owner, name), file, chain))

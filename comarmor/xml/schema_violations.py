@@ -103,7 +103,7 @@ def _documents(path: Path) -> Iterator[etree._Element]:
         yield from _documents(path.with_name(include.get("schemaLocation", "")))
 
 
-def explained(
+def explained_violations(
     root: etree._Element, log: Any, path: Path, file: str, chain: tuple[Origin, ...]
 ) -> tuple[Diagnostic, ...]:
     """Return the defects of a document.

@@ -3,19 +3,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import click
 import pytest
 from click.testing import CliRunner
 
+from comarmor.values import Data
 from keymint.command_line.options import Number
 from keymint.command_line.verb import OptionGroup, flag, option, option_group, parameters_of
 from keymint.errors import ExitCode, usage_error
 
 
-@dataclass(frozen=True)
-class Group:
+class Group(Data):
     """Two options of a command line, and a field that is none.
 
     Options:
