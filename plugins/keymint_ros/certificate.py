@@ -53,7 +53,10 @@ def expanded_name(name: str, values: Mapping[str, str]) -> str:
     In the name of the root enclave ``/``, the common name comes first if a placeholder gives it: a grant has the RDNs
     the other way round, and Cyclone DDS finds none for a name in which a ``,`` follows the ``/``.
     """
-    expanded = name.format_map(values)
+    # Not by format(), whose placeholders may name attributes and widths.
+    before, *others = name.split("{")
+    parts = (each.partition("}") for each in others)
+    expanded = before + "".join(f"{values[placeholder]}{after}" for placeholder, _, after in parts)
     if values.get("common_name") != "/" or expanded == name:
         return expanded
     from keymint.pki import distinguished_names  # noqa: PLC0415 - as in placeholder_values

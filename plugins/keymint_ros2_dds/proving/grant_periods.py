@@ -109,6 +109,7 @@ def _representative(content: bytes, subject_name: str) -> tuple[bytes, str]:
     if (
         not found
         or blanks.strip()
+        or not name
         or not _PLAIN.issuperset(name + subject)
         or content.count(b"<grant") != 1
         or b"<!" in content
