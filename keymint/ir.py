@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The intermediate representation: the rules of a subject, independent of policy format and transport.
+"""The intermediate representation of Keymake, the compiler: rules without policy format and transport.
 
 A policy plugin turns its format into these types, and a build plugin turns them into a transport's documents.
 The rules are mandatory access control in which DENY overrides ALLOW: a request (kind, permission, object) is denied if

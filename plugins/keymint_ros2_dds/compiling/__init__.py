@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The compiler: from the lowered rules of a subject to the rules of the grant in its permissions document.
+"""Keymake, the compiler: from the lowered rules of a subject to the rules of the grant in its permissions document.
 
 Open ``grant_compiler`` first, which runs the passes: ``arrangement`` and ``partitions`` make decision lists,
 ``rule_order`` puts these into an order that every vendor reads in the same way, ``rewriting`` makes equivalent forms,
