@@ -119,7 +119,7 @@ def load_first(pem: bytes, where: Origin | None = None, *, with_lists: bool = Fa
         KeymintError: no certificate, or a file that readers of PEM may read differently.
     """
     text, bundle = pem.replace(b"\r\n", b"\n"), load_bundle(pem, where)
-    if pem == to_pem(bundle[0]):
+    if pem == to_pem(bundle[0]):  # it is all of the file, as of most
         return bundle[0]
     blocks = list(_BLOCK.finditer(text))
     first = next((each[0] for each in blocks if each[1] == _CERTIFICATE), b"")
