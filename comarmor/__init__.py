@@ -25,7 +25,7 @@ if TYPE_CHECKING:
         Severity as Severity,
     )
     from comarmor.language.formatting import render as render
-    from comarmor.language.loading import load as load, load_all as load_all
+    from comarmor.language.loading import load as load
     from comarmor.language.policy import Policy as Policy
     from comarmor.language.syntax import (
         Attachment as Attachment,
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 _MODULES = {
     "comarmor.errors": ("ComArmorError", "Diagnostic", "Origin", "Severity"),
-    "comarmor.language.loading": ("load", "load_all"),
+    "comarmor.language.loading": ("load",),
     "comarmor.language.policy": ("Policy",),
     "comarmor.language.formatting": ("render",),
     "comarmor.language.syntax": ("Decision", "Attachment", "Profile", "ProfileRule"),

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
@@ -27,16 +27,15 @@ _ATTRIBUTES = ("subject", "permission", "object", "partition", "kind")
 
 
 def load(
-    path: str | Path,
-    *,
+    *paths: str | Path,
     library: str | Path | None = None,
     library_shown: Path | None = None,
     packages: PackageFolders | None = None,
 ) -> Policy:
-    """Load a policy.
+    """Load a policy, or several as one: the union of their profiles, each confined to its own folder.
 
     Args:
-        path: a file, or a directory whose ``*.xml`` files are the policy's roots. Includes are confined to that
+        paths: files, and directories whose ``*.xml`` files are the policy's roots. Includes are confined to that
             directory, or to the file's folder.
         library: a folder that is searched for included files which the policy does not have; its files can only
             include files of the library.
@@ -44,28 +43,7 @@ def load(
         packages: where packages are that ship files; without it the policy may include none of theirs.
 
     Raises:
-        ComArmorError: the policy has defects; carries all of them, with ``file:line``.
-    """
-    return load_all([path], library=library, library_shown=library_shown, packages=packages)
-
-
-def load_all(
-    paths: Iterable[str | Path],
-    *,
-    library: str | Path | None = None,
-    library_shown: Path | None = None,
-    packages: PackageFolders | None = None,
-) -> Policy:
-    """Load several policies as one: the union of their profiles, each confined to its own folder.
-
-    Args:
-        paths: as for :func:`load`.
-        library: as for :func:`load`.
-        library_shown: as for :func:`load`.
-        packages: as for :func:`load`.
-
-    Raises:
-        ComArmorError: a policy has defects; carries those of all policies.
+        ComArmorError: a policy has defects; carries those of all policies, with ``file:line``.
     """
     folder = None if library is None else Path(library)
     defects = Defects()

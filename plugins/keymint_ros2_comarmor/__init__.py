@@ -36,7 +36,7 @@ class ComArmorPolicyType(PolicyType):
         from keymint_comarmor.loaded import ComArmorPolicy  # noqa: PLC0415 - a run without changes loads no policy
 
         paths = [source.path for source in sources]
-        loaded = comarmor.load_all(paths, library=library, library_shown=library_shown, packages=packages)
+        loaded = comarmor.load(*paths, library=library, library_shown=library_shown, packages=packages)
         return ComArmorPolicy(loaded)
 
     fingerprint = lazy("comarmor.language.source:fingerprint")

@@ -37,7 +37,7 @@ def test_directory_has_its_roots_in_sorted_order(write) -> None:
 
 def test_union_of_policies(write) -> None:
     root = write({"a/x.xml": profile(attachment="/a"), "b/y.xml": profile(attachment="/b")})
-    policy = comarmor.load_all([root / "a", root / "b" / "y.xml"])
+    policy = comarmor.load(root / "a", root / "b" / "y.xml")
     assert policy.subjects() == ("/a", "/b")
     assert {path.name for path in policy.seen if path.is_file()} == {"x.xml", "y.xml"}
 
@@ -81,7 +81,7 @@ def test_policy_of_the_field() -> None:
 def test_defects_of_all_policies_are_reported_once_each(write) -> None:
     root = write({"a/x.xml": profile(allow("{x}")), "b/y.xml": profile(allow("{y}")), "c/z.xml": profile()})
     with pytest.raises(comarmor.ComArmorError) as caught:
-        comarmor.load_all([root / "a", root / "b", root / "a", root / "c"])
+        comarmor.load(root / "a", root / "b", root / "a", root / "c")
     assert [diagnostic.where.file for diagnostic in caught.value.diagnostics if diagnostic.where] == [
         f"{root}/a/x.xml",
         f"{root}/b/y.xml",
@@ -92,9 +92,8 @@ def test_origins_name_the_library_as_it_is_shown(write, tmp_path) -> None:
     root = write({"p.xml": profile(include("node.xml"))})
     (tmp_path / "cache").mkdir()
     (tmp_path / "cache" / "node.xml").write_text(allow("/x"))
-    for load in (comarmor.load, lambda path, **library: comarmor.load_all([path], **library)):
-        policy = load(root, library=tmp_path / "cache", library_shown=Path("lib"))
-        assert str(policy.rules("/s")[0].origin) == f"lib/node.xml:1, included from {root}/p.xml:1"
+    policy = comarmor.load(root, library=tmp_path / "cache", library_shown=Path("lib"))
+    assert str(policy.rules("/s")[0].origin) == f"lib/node.xml:1, included from {root}/p.xml:1"
 
 
 def test_a_loaded_policy_keeps_no_document(write) -> None:

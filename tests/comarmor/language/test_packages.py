@@ -29,7 +29,7 @@ class Loader:
             (self.path.parent / f"sub/{name}.xml").write_text(content)
         packages = InstalledPackages({"AMENT_PREFIX_PATH": str(self.prefix)})
         library = self.path.parents[1] / "library"
-        return comarmor.load_all([self.path], library=library, packages=packages)
+        return comarmor.load(self.path, library=library, packages=packages)
 
     def refused(self, policy: str, shipped: dict[str, str], **others: str) -> Diagnostic:
         with pytest.raises(ComArmorError) as caught:
