@@ -36,8 +36,7 @@ from keymint.drawing.appearance import (
 )
 from keymint.drawing.captions import marks_of, names_of, subtitle
 from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, namespace
-from keymint.drawing.layout import CHARACTER, EdgeLine, NodeBox, NodeKey, Panel, lay_out
-from keymint.drawing.matrix import MOST_COLUMNS, lay_out_matrix
+from keymint.drawing.layout import CHARACTER, MOST_COLUMNS, EdgeLine, NodeBox, NodeKey, Panel, lay_out, lay_out_matrix
 from keymint.drawing.simplify import DrawingOptions, Members, SimplifiedGraph, Split, priority, simplify
 
 if TYPE_CHECKING:

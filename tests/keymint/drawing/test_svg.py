@@ -13,8 +13,7 @@ from lxml import etree
 from keymint.api.graph import MISMATCHES, Object
 from keymint.drawing.appearance import Theme, columns
 from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, select_edges
-from keymint.drawing.layout import CHARACTER
-from keymint.drawing.matrix import lay_out_matrix
+from keymint.drawing.layout import CHARACTER, lay_out_matrix
 from keymint.drawing.simplify import DrawingOptions, Split, shown_edges, simplify
 from keymint.drawing.svg import draw, svg
 
