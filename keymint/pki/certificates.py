@@ -339,7 +339,7 @@ def is_same(pem: bytes, other: bytes) -> bool:
 
 
 @functools.lru_cache(maxsize=16)
-def can_sign_documents(certificate: x509.Certificate, where: Origin | None = None) -> Diagnostic | None:
+def can_sign_documents(certificate: x509.Certificate) -> Diagnostic | None:
     """Return why an authority may not sign documents, or None if it may.
 
     These are the rules of OpenSSL's purpose ``smimesign`` (RFC 8550, 4.4.2 and 4.4.4), which some software
@@ -353,4 +353,4 @@ def can_sign_documents(certificate: x509.Certificate, where: Origin | None = Non
     else:
         return None
     message = f"the certificate of {to_text(certificate.subject)!r} cannot sign documents: its {problem}"
-    return Diagnostic.error("authority-cannot-sign", message, where, help_)
+    return Diagnostic.error("authority-cannot-sign", message, None, help_)

@@ -29,6 +29,7 @@ from keymint.pki import der, key_encodings
 
 PrivateKey = key_encodings.PrivateKey
 PublicKey = key_encodings.PublicKey
+public_der = key_encodings.public_der
 
 # Spelled out: no text from a file ever names an attribute of a library.
 CURVES: Mapping[str, ec.EllipticCurve] = MappingProxyType(
@@ -250,11 +251,6 @@ def public_der_of_file(pem: bytes) -> bytes:
 def fingerprint_of_file(pem: bytes) -> str:
     """Return the fingerprint of the key in the PEM file of an unencrypted private key; errors as :func:`from_pem`."""
     return hashlib.sha256(_known(pem)[0]).hexdigest()
-
-
-def public_der(key: PublicKey) -> bytes:
-    """Return a public key in DER, SubjectPublicKeyInfo."""
-    return key_encodings.public_der(key)
 
 
 def is_canonical(pem: bytes) -> bool:
