@@ -19,7 +19,6 @@ from keymint_comarmor.loaded import ComArmorPolicy
 from lxml import etree
 
 import comarmor
-from comarmor.errors import ComArmorError, Diagnostic, Origin, Spot
 from comarmor.language import formatting
 from comarmor.language.attachments import MOST_CHARACTERS, parts as subject_parts
 from comarmor.language.parse import parse
@@ -32,7 +31,7 @@ from comarmor.values import Data, field
 from comarmor.xml.reader import XINCLUDE
 from keymint.api import LearnedPolicy, LoadedPolicy
 from keymint.api.graph import Edge, Graph, general_expression, is_generated
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Origin, Spot
 from keymint.ir import SubjectRules
 from keymint.names import name_of
 
@@ -201,10 +200,7 @@ def policy_of(subjects: Sequence[SubjectRules], name: str, note: str = "") -> tu
     if too_long:
         raise KeymintError.of(too_long)
     document = profiles({each.subject: _folded(each.rules) for each in subjects}, note.replace("--", "- -"))
-    try:  # the document includes nothing, so that it may be read from anywhere
-        policy = parse(read_document(document, name, Path("/")))
-    except ComArmorError as error:
-        raise KeymintError.of(error.diagnostics) from None
+    policy = parse(read_document(document, name, Path("/")))  # it includes nothing, so it may be read from anywhere
     return document, tuple(SubjectRules(each.subject, policy.rules(each.subject)) for each in subjects)
 
 

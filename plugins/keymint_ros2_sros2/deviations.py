@@ -12,11 +12,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from comarmor.errors import ComArmorError, Diagnostic
 from comarmor.rules import Effect, is_subject
 from comarmor.text import quote
 from comarmor.values import replace
 from keymint.api.xml_templates import xml_document
+from keymint.errors import Diagnostic, KeymintError
 from keymint_ros2_sros2 import syntax
 
 _LONGEST_PATH = 1024
@@ -95,7 +95,7 @@ def _of_entry(enclave: syntax.Sros2Enclave, node: syntax.RosNode, entry: syntax.
         return
     try:
         syntax.expression(syntax.as_read(node, text), entry)
-    except ComArmorError as error:
+    except KeymintError as error:
         yield from (replace(each, subject=enclave.path) for each in error.diagnostics)
         return
     if text != trimmed:

@@ -17,7 +17,6 @@ from xml.parsers import expat  # nosec - the document was read with limits and w
 
 from lxml import etree
 
-from comarmor.errors import ComArmorError, Diagnostic, Origin
 from comarmor.language.policy_files import IncludeFormat, PolicyFile, href_of
 from comarmor.language.source import load_tree
 from comarmor.rules import Effect
@@ -26,6 +25,7 @@ from comarmor.values import Data, field, replace
 from comarmor.xml import schema
 from comarmor.xml.reader import XINCLUDE
 from comarmor.xml.sandboxed_paths import path_text
+from keymint.errors import Diagnostic, KeymintError, Origin
 from keymint_ros2_sros2.syntax import NEW, PERMISSIONS, Entry, NodeGroup, RosNode, RuleList, SourcePolicy, Sros2Enclave
 
 
@@ -36,12 +36,12 @@ def parse(path: Path) -> SourcePolicy:
         path: its file; what it includes is confined to its folder.
 
     Raises:
-        ComArmorError: a file is missing, outside of the policy's folder, too large, or not valid, with ``file:line``.
+        KeymintError: a file is missing, outside of the policy's folder, too large, or not valid, with ``file:line``.
     """
     if os.path.isdir(path):  # noqa: PTH112 - raises nothing
         where, help_ = Origin(path_text(str(path))), "name the file whose root is <policy>"
         message = "is a folder, expected the file of an SROS2 policy"
-        raise ComArmorError(message, where=where, help=help_, code="policy-missing")
+        raise KeymintError(message, where=where, help=help_, code="policy-missing")
     files = load_tree(path, form=INCLUDES)
     notes: dict[PolicyFile, Comments] = {}
     for document, chain in files.documents():
@@ -138,7 +138,7 @@ class Placed(Data):
         """Yield its child elements, with includes replaced by what they include.
 
         Raises:
-            ComArmorError: an xpointer selects nothing, with ``file:line``.
+            KeymintError: an xpointer selects nothing, with ``file:line``.
         """
         for element in self.element:
             child = Placed(element, self.file, self.notes, self.chain)
@@ -162,7 +162,7 @@ def _selected(root: Placed, steps: tuple[str, ...], where: Origin) -> Iterator[P
     if not found and not (parents and steps[-1] == "*"):  # all of an empty element is nothing
         message = f"the xpointer /{'/'.join(steps)} selects nothing in {quote(root.file.name, 200)}"
         help_ = f"the root of that file is <{root.element.tag}>"
-        raise ComArmorError(message, where=where, help=help_, code="include-xpointer")
+        raise KeymintError(message, where=where, help=help_, code="include-xpointer")
     yield from found
 
 
@@ -170,15 +170,15 @@ def _href(element: etree._Element, where: Origin) -> str:
     """Return the ``href`` of an include.
 
     Raises:
-        ComArmorError: SROS2 would read another file, or the xpointer has another form, with ``file:line``.
+        KeymintError: SROS2 would read another file, or the xpointer has another form, with ``file:line``.
     """
     href = href_of(element, where, ("href", "parse", "xpointer"))
     if (element.text or "").strip():
-        raise ComArmorError("xi:include must be empty", where=where, code="include-fallback", help="remove the text")
+        raise KeymintError("xi:include must be empty", where=where, code="include-fallback", help="remove the text")
     if any(each.get(_BASE) is not None for each in element.iterancestors()):
         message = "an element around this xi:include has xml:base, from where SROS2 reads the file"
         help_ = "remove xml:base, and write the href relative to this file"
-        raise ComArmorError(message, where=where, help=help_, code="include-base")
+        raise KeymintError(message, where=where, help=help_, code="include-base")
     _steps(element, where)
     return href
 
@@ -199,7 +199,7 @@ def _steps(include: etree._Element, where: Origin) -> tuple[str, ...]:
     if match is None:
         message = f"the xpointer {quote(xpointer)} is not supported"
         help_ = "write xpointer(PATH) with a path of elements, e.g. xpointer(/profile/*); SROS2 refuses a path alone"
-        raise ComArmorError(message, where=where, help=help_, code="include-xpointer")
+        raise KeymintError(message, where=where, help=help_, code="include-xpointer")
     return tuple(match[1][1:].split("/"))
 
 
@@ -236,7 +236,7 @@ class _Parser(Data, frozen=False):
             comments += child.closing
         if not enclaves:
             help_ = f"expected <{inner}> with <{'enclave' if version == NEW else 'profile'}> in it"
-            raise ComArmorError("the policy has no enclave", where=root.where, code="policy-empty", help=help_)
+            raise KeymintError("the policy has no enclave", where=root.where, code="policy-empty", help=help_)
         closing = (*comments, *root.closing)
         return SourcePolicy(version, tuple(enclaves), self.seen, tuple(self.lost), closing)
 
@@ -266,7 +266,7 @@ class _Parser(Data, frozen=False):
         if names[0] is None or not names[1]:
             message = "<profile> names no node, expected the attributes 'ns' and 'node'"
             help_ = 'to include its rules alone: xpointer="xpointer(/profile/*)"' if item.chain else ""
-            raise ComArmorError(message, where=item.where, help=help_, code="schema")
+            raise KeymintError(message, where=item.where, help=help_, code="schema")
         lists = tuple(self.rules(child) for child in self.children(item, tuple(PERMISSIONS), "in <profile>"))
         return RosNode(names[0], names[1], lists, item.where, item.comments, item.closing)
 
@@ -296,7 +296,7 @@ class _Parser(Data, frozen=False):
         """Yield the child elements, which includes may have put into the wrong place; ``<metadata>`` is left out.
 
         Raises:
-            ComArmorError: SROS2, which validates the policy after resolving its includes, refuses them.
+            KeymintError: SROS2, which validates the policy after resolving its includes, refuses them.
         """
         parent, before, is_empty = str(item.element.tag), "", True
         for child in item.children():
@@ -324,11 +324,11 @@ _MAY_BE_EMPTY = frozenset(("profile", "policy", "enclaves"))
 """A policy without enclaves has an error of its own."""
 
 
-def _refused(message: str, item: Placed, help_: str) -> ComArmorError:
-    return ComArmorError(f"{message}: SROS2 refuses that", where=item.where, help=help_, code="schema")
+def _refused(message: str, item: Placed, help_: str) -> KeymintError:
+    return KeymintError(f"{message}: SROS2 refuses that", where=item.where, help=help_, code="schema")
 
 
-def _misplaced(item: Placed, place: str, expected: tuple[str, ...]) -> ComArmorError:
+def _misplaced(item: Placed, place: str, expected: tuple[str, ...]) -> KeymintError:
     one_of = " or ".join(f"<{name}>" for name in expected)
     message = f"<{item.element.tag}> is not expected {place}, expected {one_of}"
-    return ComArmorError(message, where=item.where, code="schema")
+    return KeymintError(message, where=item.where, code="schema")

@@ -13,13 +13,13 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-from comarmor.errors import ComArmorError, Diagnostic, Origin
 from comarmor.language.attachments import MOST_CHARACTERS
 from comarmor.patterns.expression import canonical
 from comarmor.patterns.tokens import COMARMOR, tokenize
 from comarmor.rules import Effect, Rule
 from comarmor.text import lazy_regex, quote
 from comarmor.values import Data
+from keymint.errors import Diagnostic, KeymintError, Origin
 
 NEW = "0.2.0"
 """The version since Foxy. In 0.1.0 nodes have enclaves of their own."""
@@ -170,17 +170,17 @@ def expression(name: str, entry: Entry) -> str:
         entry: where it is written.
 
     Raises:
-        ComArmorError: the name is too long, or contains notation that POSIX leaves undefined; with ``file:line``.
+        KeymintError: the name is too long, or contains notation that POSIX leaves undefined; with ``file:line``.
     """
     try:
         written = name if _PLAIN.fullmatch(name) else canonical(tokenize(name, COMARMOR))
-    except ComArmorError as error:
+    except KeymintError as error:
         (diagnostic,) = error.diagnostics
         message = f"{quote(entry.text)}: {diagnostic.message}"
-        raise ComArmorError(message, where=entry.where, help=diagnostic.help, code="expression") from None
+        raise KeymintError(message, where=entry.where, help=diagnostic.help, code="expression") from None
     if len(written) > MOST_CHARACTERS:
         message = f"the name is longer than {MOST_CHARACTERS:,} characters"
-        raise ComArmorError(message, where=entry.where, code="expression")
+        raise KeymintError(message, where=entry.where, code="expression")
     return written
 
 
@@ -196,7 +196,7 @@ def rules_of(enclaves: Iterable[Sros2Enclave], *, graph: bool) -> tuple[Rule, ..
         graph: with the rule that SROS2 adds by itself (:attr:`~keymint_ros2_sros2.syntax.SourcePolicy.has_graph`).
 
     Raises:
-        ComArmorError: a name is not an expression, with ``file:line``.
+        KeymintError: a name is not an expression, with ``file:line``.
     """
     found: list[Rule] = []
     for enclave in enclaves:

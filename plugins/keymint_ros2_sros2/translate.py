@@ -17,7 +17,6 @@ from keymint_comarmor.loaded import ComArmorPolicy
 from lxml import etree
 
 import comarmor
-from comarmor.errors import ComArmorError, Diagnostic, Severity
 from comarmor.language import formatting
 from comarmor.language.formatting import canonical_form
 from comarmor.language.loading import load_included
@@ -30,7 +29,7 @@ from comarmor.rules import PERMISSIONS, Effect, Rule
 from comarmor.values import replace
 from comarmor.xml.reader import XINCLUDE
 from keymint.api import ImportedPolicy, ImportedSubject, ImportRequest, PolicySource
-from keymint.errors import KeymintError
+from keymint.errors import Diagnostic, KeymintError, Severity
 from keymint.ir import SubjectRules
 from keymint.names import name_of
 from keymint_ros2_sros2 import syntax
@@ -57,7 +56,7 @@ def load(sources: Sequence[PolicySource], *_of_includes: object) -> ComArmorPoli
         for enclave in policy.enclaves:
             if enclave.path in profiles:
                 message = f"the enclave {enclave.path} is also at {profiles[enclave.path].where}"
-                raise ComArmorError(message, where=enclave.where, help="write one <enclave>", code="sros2-path-twice")
+                raise KeymintError(message, where=enclave.where, help="write one <enclave>", code="sros2-path-twice")
             rules = (
                 ProfileRule(
                     rule.effect, rule.kind, rule.permissions,
@@ -112,7 +111,7 @@ def _policies(library: Path) -> tuple[tuple[str, Policy], ...]:
         name = path.relative_to(library).as_posix()
         try:
             found.append((name, load_included(name, name, library)))
-        except ComArmorError as error:
+        except KeymintError as error:
             if any(each.code != "tunable" for each in error.diagnostics):
                 raise
     return tuple(found)

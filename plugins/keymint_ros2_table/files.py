@@ -16,11 +16,11 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from comarmor.errors import ComArmorError, Origin
 from comarmor.language.attachments import strip
 from comarmor.text import did_you_mean, quote
 from comarmor.values import replace
 from comarmor.xml.sandboxed_paths import file_errors, path_text, read_bounded
+from keymint.errors import KeymintError, Origin
 from keymint_ros2_table import rows
 
 NAME = "rule"
@@ -50,7 +50,7 @@ _ACCEPTED = ((-1, (str, type(None))), (-2, (str, int, type(None))), *((at, (str,
 _READING = frozenset((sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION, sqlite3.SQLITE_RECURSIVE))
 
 
-def rows_of_database(content: bytes, file: str) -> Iterator[rows.TableRow | ComArmorError]:
+def rows_of_database(content: bytes, file: str) -> Iterator[rows.TableRow | KeymintError]:
     """Yield the rows; the error of a row in place of it.
 
     Args:
@@ -58,7 +58,7 @@ def rows_of_database(content: bytes, file: str) -> Iterator[rows.TableRow | ComA
         file: its path as the user would type it.
 
     Raises:
-        ComArmorError: the database has no such table or view, or cannot be read.
+        KeymintError: the database has no such table or view, or cannot be read.
     """
     where = Origin(file)
     if content[18:20] == _WRITE_AHEAD:  # a database in memory has no write-ahead log
@@ -72,7 +72,7 @@ def rows_of_database(content: bytes, file: str) -> Iterator[rows.TableRow | ComA
             database.text_factory = lambda data: data.decode("utf-8", "surrogateescape")
             database.execute("PRAGMA trusted_schema = OFF")
             if database.execute("PRAGMA quick_check(1)").fetchone() != ("ok",):
-                raise ComArmorError("the database is damaged", where=where, code="table-query")
+                raise KeymintError("the database is damaged", where=where, code="table-query")
             header = [
                 name for _, name, *_, hidden in database.execute(f"PRAGMA table_xinfo({NAME})") if hidden != _HIDDEN
             ]
@@ -81,7 +81,7 @@ def rows_of_database(content: bytes, file: str) -> Iterator[rows.TableRow | ComA
                 usual = f"create a view {NAME}({', '.join(rows.COLUMNS)})"
                 message = f"the database has no table or view {NAME}"
                 help_ = did_you_mean(NAME, [str(name) for (name,) in found], usual)
-                raise ComArmorError(message, where=where, help=help_, code="table-header")
+                raise KeymintError(message, where=where, help=help_, code="table-header")
             order = rows.column_order(header, where)
             database.set_authorizer(guard.authorize)
             database.set_progress_handler(guard.progress, _STEPS_BETWEEN)
@@ -91,7 +91,7 @@ def rows_of_database(content: bytes, file: str) -> Iterator[rows.TableRow | ComA
             for number, values in enumerate(database.execute(f"SELECT {chosen} FROM {NAME}"), 1):  # noqa: S608 - constants
                 if number > rows.MOST_ROWS:
                     message = f"{NAME} has more than the {rows.MOST_ROWS:,} rows allowed"
-                    raise ComArmorError(message, where=where, code="table-limit")
+                    raise KeymintError(message, where=where, code="table-limit")
                 guard.most_memory += 1
                 yield _row(values, file, number)
         except MemoryError:
@@ -122,10 +122,10 @@ class _Guard:
         self.is_large = _memory() > self.most_memory
         return self.is_large or self.checks > _MOST_CHECKS
 
-    def refusal(self, error: sqlite3.Error, where: Origin) -> ComArmorError:
+    def refusal(self, error: sqlite3.Error, where: Origin) -> KeymintError:
         """Return the error for one of SQLite."""
         if self.refused:
-            return ComArmorError(
+            return KeymintError(
                 f"{NAME} uses {quote(self.refused)}, which is not allowed: its rows must depend on the database alone",
                 where=where, help="write what it computes into a table", code="table-query",
             )  # fmt: skip
@@ -133,7 +133,7 @@ class _Guard:
             return _too_much("needs too much memory", where)
         if self.checks > _MOST_CHECKS:
             return _too_much("takes too long to compute", where)
-        return ComArmorError(f"the database cannot be read: {error}", where=where, code="table-query")
+        return KeymintError(f"the database cannot be read: {error}", where=where, code="table-query")
 
 
 def _memory() -> int:
@@ -145,21 +145,21 @@ def _memory() -> int:
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> (10 if sys.platform == "darwin" else 0)
 
 
-def _too_much(what: str, where: Origin) -> ComArmorError:
+def _too_much(what: str, where: Origin) -> KeymintError:
     help_ = "write what it computes into a table"
-    return ComArmorError(f"{NAME} {what}", where=where, help=help_, code="table-limit")
+    return KeymintError(f"{NAME} {what}", where=where, help=help_, code="table-limit")
 
 
-def _row(values: Sequence[object], file: str, number: int) -> rows.TableRow | ComArmorError:
+def _row(values: Sequence[object], file: str, number: int) -> rows.TableRow | KeymintError:
     *texts, source = values
     try:
         where = rows.row_origin(file, number, strip(source) if isinstance(source, str) else "")
-    except ComArmorError as error:
+    except KeymintError as error:
         return error
     for at, accepted in _ACCEPTED:
         if not isinstance(values[at], accepted):
             found = _TYPES[type(values[at])]
-            return ComArmorError(f"{rows.COLUMNS[at]} is {found}, expected TEXT", where=where, code="table-value")
+            return KeymintError(f"{rows.COLUMNS[at]} is {found}, expected TEXT", where=where, code="table-value")
     # The column tells rows of one source apart where a line would; it is not shown.
     origin = replace(where, line=0, column=number) if source else where
     return rows.TableRow(where, origin, *["" if text is None else strip(str(text)) for text in texts])
@@ -175,21 +175,21 @@ _INACTIVE = b"\0" * 8
 """What a journal begins with that was kept after its transaction ended."""
 
 
-def read(path: Path) -> tuple[Iterator[rows.TableRow | ComArmorError], Mapping[Path, bytes]]:
+def read(path: Path) -> tuple[Iterator[rows.TableRow | KeymintError], Mapping[Path, bytes]]:
     """Return the rows of a table, with errors in place of defect ones, and the fingerprints of all its files.
 
     Args:
         path: its file.
 
     Raises:
-        ComArmorError: it is missing, too large, or being written to.
+        KeymintError: it is missing, too large, or being written to.
     """
     file = path_text(str(path))
     with file_errors("the table", Origin(file), "policy-missing"):
         real = path.resolve(strict=True)
         if real.is_dir():
             message, help_ = "is a folder, expected a table", "name a CSV file or an SQLite database"
-            raise ComArmorError(message, where=Origin(file), help=help_, code="policy-missing")
+            raise KeymintError(message, where=Origin(file), help=help_, code="policy-missing")
         before = real.stat()
         content = read_bounded(real.parent, real, _MOST_SQLITE + 1)
     seen = {path: hashlib.sha256(content).digest()}
@@ -197,7 +197,7 @@ def read(path: Path) -> tuple[Iterator[rows.TableRow | ComArmorError], Mapping[P
     most = _MOST_SQLITE if is_database else _MOST_CSV
     if len(content) > most:
         message = f"the table has more than the {most:,} bytes allowed"
-        raise ComArmorError(message, where=Origin(file), code="table-limit")
+        raise KeymintError(message, where=Origin(file), code="table-limit")
     if not is_database:
         return rows.rows_of_csv(content, file), seen
     for suffix in (_LOG, _JOURNAL):
@@ -226,7 +226,7 @@ def _require_none(beside: Path, file: str) -> bytes:
     """Return the fingerprint of a file beside a database that has nothing in it.
 
     Raises:
-        ComArmorError: it has changes.
+        KeymintError: it has changes.
     """
     with file_errors("the file", Origin(f"{file}{beside.suffix}")), contextlib.suppress(FileNotFoundError):
         content = read_bounded(beside.parent, beside, _MOST_SQLITE)
@@ -236,8 +236,8 @@ def _require_none(beside: Path, file: str) -> bytes:
     return b""
 
 
-def _in_use(file: str, message: str) -> ComArmorError:
-    return ComArmorError(
+def _in_use(file: str, message: str) -> KeymintError:
+    return KeymintError(
         f"the database {message}", where=Origin(file), code="table-in-use",
         help="take a copy of it by 'VACUUM INTO', which is complete, and name the copy",
     )  # fmt: skip

@@ -11,7 +11,6 @@ from keymint_comarmor import require_policies
 from keymint_comarmor.loaded import ComArmorPolicy
 
 import comarmor
-from comarmor.errors import ComArmorError, Defects, Diagnostic, Origin
 from comarmor.language import attachments
 from comarmor.language.attachments import Placeholder, TunableReference
 from comarmor.language.loading import load_included
@@ -21,7 +20,7 @@ from comarmor.rules import PERMISSIONS, Effect
 from comarmor.text import did_you_mean, quote
 from comarmor.values import Data, field, replace
 from keymint.api import PolicySource
-from keymint.errors import KeymintError
+from keymint.errors import Defects, Diagnostic, KeymintError, Origin
 from keymint_ros2_table.files import read
 from keymint_ros2_table.rows import TableRow
 
@@ -89,18 +88,18 @@ class _PolicyMaker(Data, frozen=False):
             for row in rows:
                 self._collect(row)
 
-    def _collect(self, row: TableRow | ComArmorError) -> None:
+    def _collect(self, row: TableRow | KeymintError) -> None:
         """Collect the rules of a row, or its defects.
 
         Raises:
-            ComArmorError: with the last one of too many.
+            KeymintError: with the last one of too many.
         """
         try:
-            if isinstance(row, ComArmorError):
+            if isinstance(row, KeymintError):
                 raise row
             subject = self._subject(row)
             self.parts.setdefault(subject, []).extend(self._of(row))
-        except ComArmorError as error:
+        except KeymintError as error:
             self.parts.clear()  # there is no policy
             is_limit = any(each.code == "table-limit" for each in error.diagnostics)
             if is_limit or len(self.defects.found) >= _MOST_DIAGNOSTICS:
@@ -113,10 +112,10 @@ class _PolicyMaker(Data, frozen=False):
             subject = self._expression("subject", row.subject, row.where)
             if subject.value:
                 message = "the subject cannot contain {name} or {namespace}"
-                raise ComArmorError(message, where=row.where, help="use a wildcard", code="brace")
+                raise KeymintError(message, where=row.where, help="use a wildcard", code="brace")
             if expected := expected_of_subject(subject.text):
                 message = f"{quote(literal(subject.text) or '')} is not a legal name of a subject"
-                raise ComArmorError(message, where=row.where, help=expected, code="subject-name")
+                raise KeymintError(message, where=row.where, help=expected, code="subject-name")
             self.subjects[row.subject] = replace(subject, where=row.origin)
         return row.subject
 
@@ -138,9 +137,9 @@ class _PolicyMaker(Data, frozen=False):
 
     def _expression(self, column: str, text: str, where: Origin) -> Attachment:
         if not text:
-            raise ComArmorError(f"the {column} is empty", where=where, help="for any name write *", code="expression")
+            raise KeymintError(f"the {column} is empty", where=where, help="for any name write *", code="expression")
         if not text.isprintable():
-            raise ComArmorError(
+            raise KeymintError(
                 f"the {column} has characters that cannot be printed: {quote(text)}", where=where, code="expression"
             )
         self.characters += len(text)
@@ -149,11 +148,11 @@ class _PolicyMaker(Data, frozen=False):
             raise KeymintError(message, where=where, code="table-limit")
         try:
             pieces = attachments.parse(text)
-        except ComArmorError as error:
+        except KeymintError as error:
             raise error.at(where) from None
         value = tuple(piece for piece in pieces if not isinstance(piece, TunableReference))
         if len(value) != len(pieces):
-            raise ComArmorError(
+            raise KeymintError(
                 f"the {column} cannot contain a tunable: {quote(text)}", where=where,
                 help=f"a table has none; write a row for each value, or {' or '.join(Placeholder)}", code="brace",
             )  # fmt: skip
@@ -162,18 +161,18 @@ class _PolicyMaker(Data, frozen=False):
     def _include(self, row: TableRow) -> tuple[_Part, ...]:
         """Return the rules of a file of the library, which the row includes."""
         if row.permission or row.qualifier or _AUDIT.get(row.audit.lower(), True):
-            raise ComArmorError(
+            raise KeymintError(
                 "a row that includes a file has no permission, qualifier or audit", where=row.where,
                 help="leave them empty: the file has its own", code="table-value",
             )  # fmt: skip
         if row.object not in self.included:
             if self.library is None:
                 message = "there is no policy library to include from"
-                raise ComArmorError(message, where=row.where, code="include-missing")
+                raise KeymintError(message, where=row.where, code="include-missing")
             try:
                 policy = load_included(row.object, row.where.file, self.library, self.library_shown)
-            except ComArmorError as error:
-                raise ComArmorError.of(_placed_at(each, row.where) for each in error.diagnostics) from None
+            except KeymintError as error:
+                raise KeymintError.of(_placed_at(each, row.where) for each in error.diagnostics) from None
             self.seen |= policy.seen
             self.included[row.object] = policy.profiles[0].parts
         return tuple(_moved(part, row.origin) for part in self.included[row.object])
@@ -197,7 +196,7 @@ def _included(inner: Origin, where: Origin) -> Origin:
     return replace(inner, chain=(*inner.chain[:-1], where))
 
 
-def _unknown(what: str, value: str, known: Sequence[str], where: Origin) -> ComArmorError:
+def _unknown(what: str, value: str, known: Sequence[str], where: Origin) -> KeymintError:
     message = f"{quote(value)} is no {what}" if value else f"the {what} is missing"
     help_ = did_you_mean(value, known, f"expected {', '.join(known)}")
-    return ComArmorError(message, where=where, help=help_, code="table-value")
+    return KeymintError(message, where=where, help=help_, code="table-value")

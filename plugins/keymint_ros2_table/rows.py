@@ -7,10 +7,10 @@ import csv
 import io
 from collections.abc import Iterator, Sequence
 
-from comarmor.errors import ComArmorError, Origin
 from comarmor.language.attachments import strip
 from comarmor.text import did_you_mean, quantity, quote
 from comarmor.values import Data
+from keymint.errors import KeymintError, Origin
 
 REQUIRED = ("subject", "kind", "permission", "object", "qualifier")
 OPTIONAL = ("audit", "source")
@@ -49,18 +49,18 @@ def column_order(header: Sequence[str], where: Origin) -> tuple[int, ...]:
     """Return the position of each of :data:`COLUMNS` in a header; -1 for an optional one that is not there.
 
     Raises:
-        ComArmorError: a column is missing, unknown or there twice.
+        KeymintError: a column is missing, unknown or there twice.
     """
     for at, name in enumerate(header):
         if name not in COLUMNS:
             help_ = did_you_mean(name, COLUMNS, f"known are {', '.join(COLUMNS)}")
-            raise ComArmorError(f"the column {quote(name)} is unknown", where=where, code="table-header", help=help_)
+            raise KeymintError(f"the column {quote(name)} is unknown", where=where, code="table-header", help=help_)
         if name in header[:at]:
             message = f"there are two columns {quote(name)}"
-            raise ComArmorError(message, where=where, help="remove one of them", code="table-header")
+            raise KeymintError(message, where=where, help="remove one of them", code="table-header")
     if missing := [name for name in REQUIRED if name not in header]:
         help_ = f"expected are {', '.join(REQUIRED)}, and perhaps {' and '.join(OPTIONAL)}"
-        raise ComArmorError(f"the column {missing[0]} is missing", where=where, code="table-header", help=help_)
+        raise KeymintError(f"the column {missing[0]} is missing", where=where, code="table-header", help=help_)
     return tuple(header.index(name) if name in header else -1 for name in COLUMNS)
 
 
@@ -73,13 +73,13 @@ def row_origin(file: str, number: int, source: str) -> Origin:
         source: what the row says about where it comes from; may be empty.
 
     Raises:
-        ComArmorError: the source is too long.
+        KeymintError: the source is too long.
     """
     if not source:
         return Origin(file, number)
     if len(source) > _LONGEST_SOURCE:
         message = f"the source is longer than {_LONGEST_SOURCE} characters"
-        raise ComArmorError(message, where=Origin(file, number), code="table-value")
+        raise KeymintError(message, where=Origin(file, number), code="table-value")
     return Origin(file, number, source=source)
 
 
@@ -95,7 +95,7 @@ def is_header(line: str) -> bool:
     return len({word.strip().lower() for word in words}.intersection(COLUMNS)) >= _ENOUGH
 
 
-def rows_of_csv(content: bytes, file: str) -> Iterator[TableRow | ComArmorError]:
+def rows_of_csv(content: bytes, file: str) -> Iterator[TableRow | KeymintError]:
     """Yield the rows of a CSV file; the error of a row in place of it.
 
     Args:
@@ -103,33 +103,33 @@ def rows_of_csv(content: bytes, file: str) -> Iterator[TableRow | ComArmorError]
         file: its path as the user would type it.
 
     Raises:
-        ComArmorError: the file as a whole cannot be read, with its line.
+        KeymintError: the file as a whole cannot be read, with its line.
     """
     records = _records(content, file)
     header = next(records, None)
     if header is None:
         help_ = f"expected the header {','.join(COLUMNS)}"
-        raise ComArmorError("the table is empty", where=Origin(file), help=help_, code="table-header")
+        raise KeymintError("the table is empty", where=Origin(file), help=help_, code="table-header")
     names = [name.strip() for name in header[1]]
     if len(names) == 1 and is_header(names[0]):
         message, help_ = "the columns are not separated by commas", f"expected the header {','.join(COLUMNS)}"
-        raise ComArmorError(message, where=Origin(file, 1), help=help_, code="table-header")
+        raise KeymintError(message, where=Origin(file, 1), help=help_, code="table-header")
     order = column_order(names, Origin(file, header[0]))
     written = (record for record in records if record[1])  # not the empty lines
     for number, (line, fields) in enumerate(written, 1):
         if number > MOST_ROWS:
             message = f"the table has more than the {MOST_ROWS:,} rows allowed"
-            raise ComArmorError(message, where=Origin(file, line), code="table-limit")
+            raise KeymintError(message, where=Origin(file, line), code="table-limit")
         if len(fields) != len(names):
             message = f"the row has {quantity(len(fields), 'field')}, expected {len(names)} as in the header"
             help_ = 'a field with a comma is written in quotes: "a,b"'
-            yield ComArmorError(message, where=Origin(file, line), help=help_, code="table-row")
+            yield KeymintError(message, where=Origin(file, line), help=help_, code="table-row")
             continue
         *texts, source = (strip(fields[at]) if at >= 0 else "" for at in order)
         try:
             where = row_origin(file, line, source)
             yield TableRow(where, where, *texts)
-        except ComArmorError as error:
+        except KeymintError as error:
             yield error
 
 
@@ -139,7 +139,7 @@ def _records(content: bytes, file: str) -> Iterator[tuple[int, list[str]]]:
         content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         where, help_ = Origin(file, content.count(b"\n", 0, error.start) + 1), "save it as CSV in UTF-8"
-        raise ComArmorError("the table is not UTF-8", where=where, help=help_, code="table-encoding") from None
+        raise KeymintError("the table is not UTF-8", where=where, help=help_, code="table-encoding") from None
     text = io.TextIOWrapper(io.BytesIO(content), "utf-8-sig", newline="")  # as a str it may take four times the memory
     size = 0
 
@@ -160,4 +160,4 @@ def _records(content: bytes, file: str) -> Iterator[tuple[int, list[str]]]:
     except csv.Error as error:
         message = f"the row is not valid CSV: {error}"
         help_ = 'a field with a quote is written in quotes, with the quote doubled: "a""b"'
-        raise ComArmorError(message, where=Origin(file, line), help=help_, code="table-row") from None
+        raise KeymintError(message, where=Origin(file, line), help=help_, code="table-row") from None

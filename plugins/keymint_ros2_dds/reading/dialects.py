@@ -23,13 +23,13 @@ from typing import Literal
 
 from lxml import etree
 
-from comarmor.errors import ComArmorError, Diagnostic
 from comarmor.patterns.glob import parse, regex
 from comarmor.patterns.tokens import SPECIAL, Dialect
 from comarmor.text import lazy_regex
 from comarmor.values import Data, replace
 from comarmor.xml import schema
 from comarmor.xml.reader import LIMITS, XSI, line
+from keymint.errors import Diagnostic, KeymintError
 from keymint_ros2_dds.domains import MAX_DOMAIN
 
 STANDARD = Dialect()
@@ -230,7 +230,7 @@ def quirks_by_schema(
     """
     try:
         schema.validate(root, "keymint_ros2_dds", kind, file)
-    except ComArmorError as error:
+    except KeymintError as error:
         first = error.diagnostics[0]
         at = first.where.line if first.where and first.where.line else 1
         text = f"what the schema does not allow ({first.message})"
