@@ -10,18 +10,8 @@ from comarmor.patterns.glob import Glob, matches, parse
 from comarmor.patterns.relations import disjoint
 from comarmor.rules import Effect
 from comarmor.values import Data
+from keymint.analysis import rule_lists
 from keymint.analysis.query import who_can
-from keymint.analysis.rule_lists import (
-    allow_only,
-    display_name,
-    find_permitted,
-    is_possible,
-    matching_rule,
-    object_patterns,
-    part_lists,
-    part_patterns,
-    query_pattern,
-)
 from keymint.analysis.subject_patterns import can_exist, named_subjects, pattern_examples, rules_of, unknown_subject
 from keymint.api import Expectation, LoadedPolicy
 from keymint.errors import Diagnostic, KeymintError, Origin, Spot
@@ -77,8 +67,8 @@ class ExpectationChecker:
         within = parse(typed_subject(expected.subject))
         if not can_exist(within):
             raise _matches_nothing(f"no legal subject name matches {expected.subject!r}", expected.subject, expected)
-        name = query_pattern(kind, expected.object, expected.partition)
-        if not is_possible(kind, name):
+        name = rule_lists.query_pattern(kind, expected.object, expected.partition)
+        if not rule_lists.is_possible(kind, name):
             message = f"no legal object name matches {expected.object!r}, so the expectation always holds"
             raise _matches_nothing(message, expected.object, expected)
         check = self._check_allow if expected.allowed else self._check_deny
@@ -93,15 +83,15 @@ class ExpectationChecker:
             return "the policy names no subject that matches it", None
         for subject in subjects:
             rules = rules_of(self._policy, subject)
-            for part in part_lists(rules, kind, permission):
-                outcome = find_permitted(kind, allow_only(name), negate(part))
+            for part in rule_lists.part_lists(rules, kind, permission):
+                outcome = rule_lists.find_permitted(kind, rule_lists.allow_only(name), negate(part))
                 if isinstance(outcome, Equal):
                     continue
                 if not isinstance(outcome, Witness):
                     return f"the answer for {subject} is unknown: {outcome.reason}", None
-                denying = matching_rule(rules, Effect.DENY, kind, permission, outcome.word)
+                denying = rule_lists.matching_rule(rules, Effect.DENY, kind, permission, outcome.word)
                 why = "a DENY rule matches" if denying else "no rule allows it"
-                shown = display_name(kind, outcome.word)
+                shown = rule_lists.display_name(kind, outcome.word)
                 return f"{subject} may not {permission} {shown}: {why}", denying.origin if denying else None
         return "", None
 
@@ -110,19 +100,19 @@ class ExpectationChecker:
         for each in who_can(self._policy, within, kind, permission, name):
             if each.unknown:
                 return f"the answer for {each.subject or f'subjects like {each.like}'} is unknown: {each.unknown}", None
-            return f"{each.subject} may {permission} {display_name(kind, each.word)}", each.where
+            return f"{each.subject} may {permission} {rule_lists.display_name(kind, each.word)}", each.where
         return "", None
 
     def _exercised(self, expected: Expectation, within: Glob, kind: str, permission: str, name: Glob) -> Iterator[Spot]:
         """Yield the spots of the rules that decide on subjects and objects of an expectation."""
         effect = Effect.ALLOW if expected.allowed else Effect.DENY
-        names = [*part_patterns(kind, permission, name)]
+        names = [*rule_lists.part_patterns(kind, permission, name)]
         for subject, rules in self._rules.items():
             if not matches(within, subject):
                 continue
             for rule in rules:
                 if rule.effect is effect and any(
-                    not disjoint(one, other) for key, other in names for one in object_patterns(rule, key)
+                    not disjoint(one, other) for key, other in names for one in rule_lists.object_patterns(rule, key)
                 ):
                     yield rule.origin.spot
 
