@@ -9,7 +9,7 @@ from typing import Any
 from keymint.api import PolicyDecision
 from keymint.api.graph import Edge
 from keymint.errors import Origin
-from keymint.verify.mismatch import Mismatch
+from keymint.verify.compare import Mismatch
 
 Typed = Callable[[str], str]
 """Returns a path as the user would type it."""

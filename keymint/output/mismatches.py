@@ -18,7 +18,7 @@ from keymint.names import name_of
 from keymint.output.json import Typed, decision_json, edge_json, verdict_json
 from keymint.output.junit import JUnitCase
 from keymint.output.sarif import SarifResult
-from keymint.verify.mismatch import EdgeComparison, Mismatch
+from keymint.verify.compare import EdgeComparison, Mismatch
 
 _MOST_EXPRESSIONS = 4
 _EXAMPLES = 3

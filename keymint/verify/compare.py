@@ -13,20 +13,101 @@ the reasons of mismatches only (:meth:`TransportComparison.all_endpoints`); the 
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import chain, groupby
 from operator import and_, attrgetter
 
 from comarmor.values import Data, field, replace
-from keymint.api import InstalledEnclave, Tier, Transport, Verdict
-from keymint.api.graph import ConfusionMatrix, Edge
-from keymint.errors import KeymintError
+from keymint.api import InstalledEnclave, PolicyDecision, Tier, Transport, Verdict
+from keymint.api.graph import ConfusionMatrix, Edge, EdgeOutcome
+from keymint.errors import KeymintError, Origin
 from keymint.verify.endpoint_policy import EdgeRow, EndpointPolicy, MappedColumn, labelled_rows, mapped_column
-from keymint.verify.mismatch import EdgeComparison, Mismatch, Tally
 
 ENCLAVE_REFUSED = "enclave-refused"
 """Code of the error of a transport that refuses a complete enclave."""
+
+
+class Mismatch(Data):
+    """An edge that a transport labels differently from the policy, with the reason.
+
+    Attributes:
+        edge: the edge.
+        policy: the policy's decision.
+        verdict: the transport's decision, in its own words.
+        reason: one line, from the simulation of the transport if there is one.
+        document: the rule in a document that decided; without a line if no rule did.
+        model: the simulated transport that explains the verdict of a real one, or empty.
+    """
+
+    edge: Edge
+    policy: PolicyDecision
+    verdict: Verdict
+    reason: str
+    document: Origin
+    model: str = ""
+
+    @property
+    def error(self) -> EdgeOutcome:
+        """How the edge is labelled wrongly: false positive or false negative."""
+        return EdgeOutcome.FALSE_POSITIVE if self.verdict.allowed else EdgeOutcome.FALSE_NEGATIVE
+
+
+class EdgeComparison(Data):
+    """The comparison of one transport with the policy.
+
+    Attributes:
+        transport: its name.
+        version: its version.
+        tier: the tier of the test.
+        confusion: counts of all edges.
+        findings: the first mismatches, in the order of the edges.
+        wrong: number of mismatches by subject.
+        endpoints: number of findings, at the end, that are single endpoints of an edge.
+    """
+
+    transport: str
+    version: str
+    tier: Tier
+    confusion: ConfusionMatrix
+    findings: tuple[Mismatch, ...]
+    wrong: Mapping[str, int]
+    endpoints: int = 0
+
+    @property
+    def omitted(self) -> int:
+        """Number of mismatches that are counted but not kept."""
+        return self.confusion.errors - len(self.findings)
+
+
+class Tally:
+    """What a transport was asked, and what it answered.
+
+    Attributes:
+        rows: by permission, the numbers of edges that were asked, decided as the policy does, and denied.
+        texts: number of denials by the transport's words.
+    """
+
+    def __init__(self) -> None:
+        self.rows: dict[str, list[int]] = {}
+        self.texts: Counter[str] = Counter()
+
+    def add(self, edge: Edge, verdict: Verdict, *, agreed: bool) -> None:
+        """Count a verdict on an edge."""
+        row = self.rows.setdefault(edge.permission, [0, 0, 0])
+        for at, counts in enumerate((True, agreed, not verdict.allowed)):
+            row[at] += counts
+        if not verdict.allowed:
+            self.texts[verdict.reason] += 1
+
+    def json(self) -> dict[str, object]:
+        """Return the members of ``keymint verify --ros --json``."""
+        names = ("permission", "asked", "agreed", "denied")
+        return {
+            "operations": [dict(zip(names, (each, *row), strict=True)) for each, row in sorted(self.rows.items())],
+            "denials": [{"text": text, "count": count} for text, count in self.texts.most_common()],
+        }
+
 
 Explain = Callable[[str, InstalledEnclave, list[tuple[Edge, Verdict]]], list[Mismatch]]
 """Returns the mismatches of one enclave, given the name of the transport and the edges with its verdicts."""

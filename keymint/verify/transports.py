@@ -11,10 +11,9 @@ from keymint.api import Availability, InstalledEnclave, Tier, Transport, Verdict
 from keymint.api.graph import Edge
 from keymint.api.plugin_loader import Plugins
 from keymint.errors import ExitCode, KeymintError, Origin
-from keymint.verify.compare import label_enclave
+from keymint.verify.compare import Mismatch, label_enclave
 from keymint.verify.copies import Copies
 from keymint.verify.endpoint_policy import EndpointPolicy
-from keymint.verify.mismatch import Mismatch
 
 
 def choose(

@@ -16,10 +16,9 @@ from keymint.api import InstalledEnclave, LoadedPolicy, PolicyDecision, Tier, Tr
 from keymint.api.graph import ConfusionMatrix, Edge, Graph, Object
 from keymint.api.plugin_loader import Plugins
 from keymint.host.pool import Pool
-from keymint.verify.compare import Asking, TransportComparison
+from keymint.verify.compare import Asking, EdgeComparison, TransportComparison
 from keymint.verify.copies import Copies
 from keymint.verify.endpoint_policy import EdgeRows, EndpointPolicy, label
-from keymint.verify.mismatch import EdgeComparison
 from keymint.verify.scope import VerificationScope, common_objects, edges_of_graph, edges_of_policy, selected_rows
 from keymint.verify.transports import Explainer, models
 

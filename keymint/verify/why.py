@@ -16,10 +16,9 @@ from keymint.api.graph import Edge, Object
 from keymint.errors import KeymintError, Origin, usage_error
 from keymint.ir import Rule
 from keymint.names import name_of, typed_permission, typed_subject
-from keymint.verify.compare import label_enclave
+from keymint.verify.compare import Mismatch, label_enclave
 from keymint.verify.copies import enclave_copies
 from keymint.verify.endpoint_policy import RAW, EndpointPolicy
-from keymint.verify.mismatch import Mismatch
 from keymint.verify.scope import has_name, naming_of
 from keymint.verify.transports import Explainer, models
 from keymint.workspace.installed_enclaves import enclave_names

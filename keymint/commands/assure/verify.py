@@ -29,9 +29,8 @@ from keymint.output.mismatches import comparisons_json, diagnostics, enumeration
 from keymint.output.sarif import sarif as sarif_log
 from keymint.stages.trust_anchors import differences
 from keymint.store.changes import Action, Step
-from keymint.verify.compare import Asking
+from keymint.verify.compare import Asking, Mismatch, Tally
 from keymint.verify.copies import enclave_copies
-from keymint.verify.mismatch import Mismatch, Tally
 from keymint.verify.scope import VerificationScope, installed_scopes, made_up_objects, selective, subjects_of_graph
 from keymint.verify.transports import choose
 from keymint.verify.verification import Verification, VerificationPart, verified_in_parts

@@ -15,8 +15,7 @@ from comarmor.errors import Origin, Reason
 from keymint.api import Availability, InstalledEnclave, PolicyDecision, Tier, Verdict
 from keymint.api.graph import ConfusionMatrix, Edge, Graph, Object, complete
 from keymint.errors import KeymintError
-from keymint.verify.compare import ENCLAVE_REFUSED, Asking, TransportComparison, label_enclave
-from keymint.verify.mismatch import EdgeComparison, Mismatch
+from keymint.verify.compare import ENCLAVE_REFUSED, Asking, EdgeComparison, Mismatch, TransportComparison, label_enclave
 
 ENCLAVES = {
     name: InstalledEnclave(name, Path("/nowhere") / name[1:], "humble", Path("/nowhere")) for name in ("/a", "/b", "/c")

@@ -17,9 +17,8 @@ from comarmor.errors import Origin, Reason
 from keymint.api import Availability, InstalledEnclave, PolicyDecision, PolicySource, Tier, Verdict
 from keymint.api.graph import Column, Edge, Object
 from keymint.errors import KeymintError
-from keymint.verify.compare import ENCLAVE_REFUSED, Asking, TransportComparison
+from keymint.verify.compare import ENCLAVE_REFUSED, Asking, EdgeComparison, Mismatch, TransportComparison
 from keymint.verify.endpoint_policy import EdgeRow, EndpointPolicy, Naming, label
-from keymint.verify.mismatch import EdgeComparison, Mismatch
 
 SUBJECTS = ("/a", "/b", "/c")
 ENCLAVES = {name: InstalledEnclave(name, Path("/nowhere") / name[1:], "humble", Path("/nowhere")) for name in SUBJECTS}

@@ -14,9 +14,8 @@ from keymint_ros2_dds import build_type
 from comarmor.errors import Origin
 from keymint.api import Availability, InstalledEnclave, PolicySource, Tier, Verdict
 from keymint.api.graph import Column, ConfusionMatrix, Edge, EdgeOutcome, Object
-from keymint.verify.compare import Asking, TransportComparison
+from keymint.verify.compare import Asking, EdgeComparison, Mismatch, TransportComparison
 from keymint.verify.endpoint_policy import EdgeRow, EndpointPolicy, Naming
-from keymint.verify.mismatch import EdgeComparison, Mismatch
 
 HERE = Origin("permissions.p7s", 1)
 RULES = """<ros_service qualifier="ALLOW"><attachment>/allowed</attachment>

@@ -18,8 +18,8 @@ from keymint.commands.assure.verify import labelled_edges
 from keymint.drawing.html_report import html_report
 from keymint.drawing.labelled_graph import Label
 from keymint.drawing.svg import svg
+from keymint.verify.compare import EdgeComparison, Mismatch
 from keymint.verify.endpoint_policy import EdgeRow
-from keymint.verify.mismatch import EdgeComparison, Mismatch
 from keymint.verify.verification import Verification
 from tests.conftest import CHECKOUT
 
