@@ -101,24 +101,20 @@ def plan_requests(
             is that of another key. ``key-kind``, ``key-barred``, ``key-shared``, ``key-of-authority``: the key cannot
             be certified.
     """
-    known = session.packages()
+    known, folder = session.packages(), session.workspace.shown(session.workspace.src)
     for name in fingerprints:
         if name not in known:
-            raise KeymintError(
-                f"no package {name!r} in {session.workspace.shown(session.workspace.src)}, although its fingerprint is "
-                "given",
-                help=did_you_mean(name, known, f"'keymint create {name}' makes it"),
-                code="package-unknown",
-            )
+            message = f"no package {name!r} in {folder}, although its fingerprint is given"
+            help_ = did_you_mean(name, known, f"'keymint create {name}' makes it")
+            raise KeymintError(message, help=help_, code="package-unknown")
     requests: dict[str, CertificationRequest] = {}
     defects, keyring = Defects(), Keyring(session)
     for request, where in given:
         with defects:
             name = _package(session, request, where, fingerprints)
             if name in requests:
-                raise _refused(
-                    f"is for {subject_of(name)}, as another request is", where, "sign the later one", "request-twice"
-                )
+                message = f"is for {subject_of(name)}, as another request is"
+                raise KeymintError(message, where=where, help="sign the later one", code="request-twice")
             keyring.require_certifiable(session.package(name), request.public_key, where)
             requests[name] = request
     defects.require_none()
@@ -135,36 +131,26 @@ def _package(session: Session, request: CertificationRequest, where: Origin, fin
     """Return the package that a request is for, which somebody or its own key must confirm."""
     named = [name for name in session.packages() if common_name(subject_of(name)) == request.common_name]
     if not named:
-        raise _refused(
-            f"is for {request.common_name}, and no package has that name",
-            where,
-            did_you_mean(
-                request.common_name, [subject_of(name) for name in session.packages()], "'keymint create' makes it"
-            ),
-            "request-unknown",
-        )
+        message = f"is for {request.common_name}, and no package has that name"
+        known = [subject_of(name) for name in session.packages()]
+        help_ = did_you_mean(request.common_name, known, "'keymint create' makes it")
+        raise KeymintError(message, where=where, help=help_, code="request-unknown")
     if confirmed := [name for name in named if fingerprints.get(name) == request.fingerprint]:
         return confirmed[0]
     if asked := [name for name in named if name in fingerprints]:
-        raise _refused(
-            f"has the key {request.fingerprint}, not the one whose fingerprint is given for /{asked[0]}: somebody may "
-            "have exchanged it on its way",
-            where,
-            "read the fingerprint at the robot again, where 'keymint request' prints it",
-            "request-exchanged",
-        )
+        wrong = f"not the one whose fingerprint is given for /{asked[0]}: somebody may have exchanged it on its way"
+        message = f"has the key {request.fingerprint}, {wrong}"
+        help_ = "read the fingerprint at the robot again, where 'keymint request' prints it"
+        raise KeymintError(message, where=where, help=help_, code="request-exchanged")
     for name in named:
         # The key that the package has may sign the request, for itself or for another key.
         current = current_fingerprint(session, name)
         if current and current in {request.fingerprint, request.signer} and not register_of(session).barred(current):
             return name
     why = ", and the key that signs it is not the one that the package has" if request.signer else ""
-    raise _refused(
-        f"nobody confirms that its key is that of {subject_of(named[0])}{why}",
-        where,
-        f"read the fingerprint at the robot and give it: --fingerprint {subject_of(named[0])}=…",
-        "request-unconfirmed",
-    )
+    message = f"nobody confirms that its key is that of {subject_of(named[0])}{why}"
+    help_ = f"read the fingerprint at the robot and give it: --fingerprint {subject_of(named[0])}=…"
+    raise KeymintError(message, where=where, help=help_, code="request-unconfirmed")
 
 
 def current_fingerprint(session: Session, name: str) -> str:
@@ -172,7 +158,3 @@ def current_fingerprint(session: Session, name: str) -> str:
     if public := session.issuance(name).public_key:
         return keys.fingerprint(keys.public_from_pem(public, session.issuance_place(name)))
     return known_fingerprint(session, name)
-
-
-def _refused(message: str, where: Origin, help_: str, code: str) -> KeymintError:
-    return KeymintError(message, where=where, help=help_, code=code)
