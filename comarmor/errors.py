@@ -202,6 +202,12 @@ class ComArmorError(Exception):
         return self.of(replace(each, where=where) for each in self.diagnostics)
 
 
+def require_none(diagnostics: Iterable[Diagnostic]) -> None:
+    """Raise an error that carries some diagnostics, if there are any."""
+    if found := tuple(diagnostics):
+        raise ComArmorError.of(found)
+
+
 class Defects:
     """Collects the diagnostics of errors, to raise them together: as a context, of an error that ends its block.
 
@@ -229,5 +235,4 @@ class Defects:
 
     def require_none(self) -> None:
         """Raise the diagnostics, each once, if there are any."""
-        if self.found:
-            raise ComArmorError.of(dict.fromkeys(self.found))
+        require_none(dict.fromkeys(self.found))

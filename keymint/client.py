@@ -27,7 +27,7 @@ from keymint import cli
 from keymint.api import LoadedPolicy
 from keymint.command_line.agreement import another_policy, confirmed_plan
 from keymint.command_line.options import Names
-from keymint.errors import Diagnostic, KeymintError, Severity, UnconfirmedError
+from keymint.errors import Diagnostic, KeymintError, Severity, UnconfirmedError, require_none
 from keymint.life.terms import DEFAULT, Threshold
 from keymint.names import package_name, subject_of
 from keymint.output.console import Streams
@@ -171,8 +171,7 @@ class Client:
         """
         run = self._run(command.name, *subjects, *map(repr, sorted(options.items())))
         report: Report = inspect.unwrap(command.callback)(run, names=Names(tuple(subjects), None), **options)
-        if failures := [each for each in report.diagnostics if each.severity is Severity.ERROR]:
-            raise KeymintError.of(failures)
+        require_none(each for each in report.diagnostics if each.severity is Severity.ERROR)
         return report
 
     def _enclaves_of(self, report: Report) -> tuple[Enclave, ...]:
@@ -196,8 +195,7 @@ class Client:
     def _enclave(self, report: Report, name: str) -> Enclave:
         steps = [step for step in report.steps if step.package == name and step.stage == "install"]
         own = tuple(each for each in report.diagnostics if each.subject in {subject_of(name), ""})
-        if failures := [each for each in own if each.severity is Severity.ERROR]:
-            raise KeymintError.of(failures)
+        require_none(each for each in own if each.severity is Severity.ERROR)
         changed = any(step.writes() for step in steps) or name in self._finished()
         return Enclave(subject_of(name), self._session.enclave(name), self._workspace.install, changed, own)
 

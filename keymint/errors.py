@@ -16,12 +16,13 @@ from comarmor.errors import (
     Spot,
     citation,
     library_name,
+    require_none,
 )
 from comarmor.text import did_you_mean
 
 __all__ = [
     "Defects", "Diagnostic", "ExitCode", "KeymintError", "Origin", "Reason", "Severity", "Spot", "UnconfirmedError",
-    "UnsayableError", "citation", "known_authority", "library_name", "process_ended", "usage_error",
+    "UnsayableError", "citation", "known_authority", "library_name", "process_ended", "require_none", "usage_error",
 ]  # fmt: skip
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-from comarmor.errors import ComArmorError, Defects, Diagnostic, Origin
+from comarmor.errors import ComArmorError, Defects, Diagnostic, Origin, require_none
 from comarmor.language.parse import parse
 from comarmor.language.policy import Policy
 from comarmor.language.policy_files import PolicyFiles, ShortDocument
@@ -146,5 +146,4 @@ def _read(file: Path) -> Iterator[Expectation]:
                     defects += error.at(where).diagnostics
             is_allowed = element.tag == "allow"
             yield Expectation(test.get("name", ""), is_allowed, subject, permission, object_, partition, where, kind)
-    if defects:
-        raise ComArmorError.of(defects)
+    require_none(defects)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from lxml import etree
 
-from comarmor.errors import ComArmorError, Diagnostic, Origin
+from comarmor.errors import ComArmorError, Diagnostic, Origin, require_none
 from comarmor.language.attachments import (
     MOST_EXPANDED_CHARACTERS,
     ExpansionBudget,
@@ -294,11 +294,9 @@ def parse(sources: PolicyFiles) -> Policy:
             schema.validate(document.root, "comarmor", "comarmor", document.name, chain)
         except ComArmorError as error:
             parser.collect(error, Origin(document.name))
-    if parser.diagnostics:
-        raise ComArmorError.of(parser.diagnostics)
+    require_none(parser.diagnostics)
     profiles = tuple(profile for document in sources.roots for profile in parser.root(document))
-    if parser.diagnostics:
-        raise ComArmorError.of(parser.diagnostics)
+    require_none(parser.diagnostics)
     budget = parser.budget
     unused = tuple(each for key, each in budget.tunables.items() if key not in budget.used_tunables)
     return Policy(profiles, sources.seen, unused, sources.shipped)

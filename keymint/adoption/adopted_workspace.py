@@ -17,7 +17,7 @@ from comarmor.values import Data, replace
 from keymint import api
 from keymint.adoption.keystore_policy import AdoptedPolicy
 from keymint.authority.authority_changes import GivenAuthority, plan_import
-from keymint.errors import Diagnostic, KeymintError, Origin
+from keymint.errors import Diagnostic, KeymintError, Origin, require_none
 from keymint.ir import SubjectRules
 from keymint.life.workspace_register import complete_register, register_change
 from keymint.names import package_name
@@ -220,8 +220,7 @@ def _require_kept(adoption: Adoption, built: Work) -> None:
             place = f"{adoption.files.folder}/{enclave.facts['place']}/{document}"
             help_ = "sign it again with the tool that made it, without what is in the way"
             errors.append(Diagnostic.error("adopt-not-kept", message, Origin(place), help_, enclave.subject))
-    if errors:
-        raise KeymintError.of(errors)
+    require_none(errors)
 
 
 def _require_unchanged(adoption: Adoption, installed: Work) -> None:
@@ -239,5 +238,4 @@ def _require_unchanged(adoption: Adoption, installed: Work) -> None:
             if path := copies.get(posixpath.join(folder, name)):
                 where = Origin(f"{adoption.files.folder}/{path}")
                 errors.append(Diagnostic.error("adopt-not-kept", message, where, help_))
-    if errors:
-        raise KeymintError.of(errors)
+    require_none(errors)

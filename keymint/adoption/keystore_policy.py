@@ -9,7 +9,7 @@ from typing import Any
 from comarmor.values import Data, replace
 from keymint import api
 from keymint.api.plugin_loader import Plugins
-from keymint.errors import Diagnostic, KeymintError, Origin, Severity
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity, require_none
 from keymint.ir import SubjectRules
 from keymint.names import package_name
 from keymint.stages.proof_results import ProofEffort, costliest, in_words
@@ -162,8 +162,7 @@ def learned_from(
             with its place.
     """
     writer = plugins.policy_type(learning.policy_type)
-    if unclear:
-        raise KeymintError.of(unclear)
+    require_none(unclear)
     granted: list[api.GrantedRules] = []
     errors: list[Diagnostic] = []
     for enclave in found.enclaves:
@@ -175,15 +174,13 @@ def learned_from(
             granted.append(learning.reader.granted(files, enclave, learning.distro))
         except KeymintError as error:
             errors += (replace(each, subject=enclave.subject) for each in error.diagnostics)
-    if errors:
-        raise KeymintError.of(errors)
+    require_none(errors)
     policy = writer.policy_of([each.rules for each in granted], learning.name, _NOTE)
     if policy is None:
         raise KeymintError(f"the policy type {learning.policy_type!r} cannot write rules", code="learn-unsupported")
     document, subjects = policy
     granted = [replace(each, rules=rules) for each, rules in zip(granted, subjects, strict=True)]
-    if unproven := list(_unproven(granted, learning)):
-        raise KeymintError.of(unproven)
+    require_none(_unproven(granted, learning))
     defects = (each for each in found.diagnostics if each.severity is Severity.ERROR)
     warnings = (replace(each, severity=Severity.WARNING) for each in defects)
     diagnostics = (*warnings, *(diagnostic for each in granted for diagnostic in each.diagnostics))

@@ -13,7 +13,7 @@ from comarmor.patterns.glob import matches, parse
 from comarmor.patterns.tokens import SPECIAL
 from comarmor.text import did_you_mean, quantity, quote
 from comarmor.values import Data
-from keymint.errors import Diagnostic, KeymintError, Origin
+from keymint.errors import Diagnostic, KeymintError, Origin, require_none
 from keymint.life.terms import DEFAULT, Threshold
 from keymint.names import package_name, subject_of, typed_subject
 from keymint.run.run import Run
@@ -96,8 +96,7 @@ class Names(Data):
                 chosen.update(dict.fromkeys(_found(session, text, known, every, otherwise)))
             except KeymintError as error:
                 defects += error.at(place).diagnostics
-        if defects:
-            raise KeymintError.of(dict.fromkeys(defects))
+        require_none(dict.fromkeys(defects))
         if self.state is None:
             return tuple(chosen)
         in_state = _in_state(session, self.state, chosen, threshold)

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from comarmor.text import did_you_mean, quantity
 from comarmor.values import Data, replace
 from keymint.api import Issuance
-from keymint.errors import Diagnostic, KeymintError
+from keymint.errors import Diagnostic, KeymintError, require_none
 from keymint.life.register import SUPERSEDED, IssuedCertificate, Register
 from keymint.life.workspace_register import complete_register, register_change
 from keymint.names import subject_of
@@ -45,8 +45,7 @@ def plan_issuance(session: Session, stage: str, new: Mapping[str, Issuance], det
             help="change their sources by hand, then run 'keymint build' and 'keymint install'",
             code="issuance-unsupported",
         )
-    if errors := [error for name, issuance in new.items() for error in _defects(session, name, issuance)]:
-        raise KeymintError.of(errors)
+    require_none(error for name, issuance in new.items() for error in _defects(session, name, issuance))
     steps: list[Step] = []
     state, stamps = session.state, {}
     for name, issuance in new.items():

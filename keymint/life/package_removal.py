@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 
 from keymint.api import LoadedPolicy, Role
-from keymint.errors import Diagnostic, KeymintError, Origin
+from keymint.errors import Diagnostic, Origin, require_none
 from keymint.life.package_issuance import Revoking, plan_revocation
 from keymint.life.workspace_register import complete_register, register_of
 from keymint.names import subject_of
@@ -44,8 +44,7 @@ def require_unneeded(session: Session, names: Sequence[str]) -> None:
             message = f"{subject_of(name)} is {title} of this workspace"
             help_ = "'keymint renew --rekey' gives it a new key"
             errors.append(Diagnostic.error("package-needed", message, session.package_marker(name), help_))
-    if errors:
-        raise KeymintError.of(errors)
+    require_none(errors)
 
 
 def _named(policy: LoadedPolicy, subject: str) -> Diagnostic:

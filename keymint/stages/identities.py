@@ -17,7 +17,7 @@ from comarmor.values import replace
 from keymint.api import Artifact, Credentials, Package, SigningAuthority
 from keymint.authority.authorities import Authorities, MintedAuthority
 from keymint.authority.authority_files import trusted_chains
-from keymint.errors import Diagnostic, KeymintError, Origin, Severity, known_authority
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity, known_authority, require_none
 from keymint.life.register import SUPERSEDED, IssuedCertificate, Register
 from keymint.life.revocation_lists_in_force import enclave_lists
 from keymint.life.workspace_register import entry_of, has_register, issuer_of, outdated_register, register_of
@@ -242,8 +242,7 @@ def sign(
                 for each in error.diagnostics
             ) from error
         different = {file for file in own.keys() & artifacts.keys() if artifacts[file] != own[file]}
-        if conflicts := two_writers(session, package, writers, name, own, different):
-            raise KeymintError.of(conflicts)
+        require_none(two_writers(session, package, writers, name, own, different))
         artifacts |= own
     identity, generation, rights = package.identity, package.issuance.generation, digest_files(documents)
     issuer_key, now = issuer_of(issuer.certificate), session.now if going_on is None else None

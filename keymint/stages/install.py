@@ -14,7 +14,7 @@ from comarmor.values import replace
 from keymint.api import Package, lazy
 from keymint.authority.authorities import Authorities
 from keymint.authority.authority_files import chains_digest
-from keymint.errors import Diagnostic, KeymintError, Severity
+from keymint.errors import Diagnostic, KeymintError, Severity, require_none
 from keymint.life import revocation_lists_in_force, terms, workspace_register
 from keymint.life.examine import Keyring, orphan_findings, replaced_rights, shared_keys
 from keymint.life.register import SignedRights
@@ -146,8 +146,7 @@ class InstallStage(PackageStage):
         fingerprints = {each.name: each.fingerprint for each in planned if each.fingerprint}
         errors = [error for each in planned for error in each.errors]
         errors += shared_keys(session, fingerprints)
-        if errors:
-            raise KeymintError.of(errors)
+        require_none(errors)
         # Shared documents come first: rights end before an enclave is removed, and begin before one is there. So do
         # copies, so that the folder around the enclaves exists before any enclave.
         changed = {each.name: (each.build_types, each.artifacts) for each in planned if each.build_types}
@@ -443,8 +442,7 @@ def would_stay(session: Session, name: str, authorities: Authorities) -> bool:
         KeymintError: it cannot be installed.
     """
     planned = InstallStage(session, authorities, prune=False).package(name)
-    if planned.errors:
-        raise KeymintError.of(planned.errors)
+    require_none(planned.errors)
     return planned.step is not None and planned.step.action is Action.UNCHANGED and not planned.outdated
 
 

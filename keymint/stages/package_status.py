@@ -10,7 +10,7 @@ from datetime import datetime
 from comarmor.values import Data
 from keymint.api import BuildOptions, LoadedPolicy, Role
 from keymint.authority import authorities
-from keymint.errors import Defects, Diagnostic, KeymintError
+from keymint.errors import Defects, Diagnostic, KeymintError, require_none
 from keymint.life.renewal_schedule import CERTIFICATE, PERMISSIONS, enclave_terms, first_due
 from keymint.life.terms import DEFAULT, Term, recorded_terms
 from keymint.life.workspace_register import register_of, withdrawn
@@ -230,8 +230,7 @@ def _require_same(session: Session, name: str) -> Mapping[str, Stamp]:
     if is_build_current(session, name) or not is_built(session, name):
         return {}
     planned = build.BuildStage(session, InstallRequest(build=BuildOptions())).package(name)
-    if planned.errors:
-        raise KeymintError.of(planned.errors)
+    require_none(planned.errors)
     folder = session.workspace.build / name
     changes = [each for each in planned.step.changes if each.folder == folder] if planned.step else []
     if any(each.removed or each.files for each in changes):  # it gets other documents than it has

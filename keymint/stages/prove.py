@@ -17,7 +17,7 @@ from comarmor.values import replace
 from keymint import __version__, api
 from keymint.authority.authority_files import chains_digest, trusted_chains
 from keymint.authority.examine import contradictions_for
-from keymint.errors import Defects, Diagnostic, KeymintError, Severity
+from keymint.errors import Defects, Diagnostic, KeymintError, Severity, require_none
 from keymint.ir import SubjectRules
 from keymint.life import terms
 from keymint.life.workspace_register import withdrawn
@@ -351,8 +351,7 @@ class ProofStage(PackageStage):
         if task.package.role is api.Role.SUBJECT:
             with self._effort.limit(task.rules.rules):
                 return prover.prove(task)
-        if found := prover.differences(task.enclave):
-            raise KeymintError.of(found)
+        require_none(prover.differences(task.enclave))
         return ()
 
     def _inputs_digest(self, name: str, digests: Mapping[str, str], build_types: Iterable[str]) -> str:

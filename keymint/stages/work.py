@@ -14,7 +14,7 @@ from typing import Any, Self
 from comarmor.values import Data, field, replace
 from keymint.api import Artifact, BuildOptions, LoadedPolicy, Package
 from keymint.authority.examine import contradictions
-from keymint.errors import Diagnostic, KeymintError
+from keymint.errors import Diagnostic, KeymintError, require_none
 from keymint.ir import SubjectRules
 from keymint.life.register import IssuedCertificate, SignedRights
 from keymint.life.revocation_lists_in_force import lists
@@ -332,8 +332,7 @@ def steps_of(planned: Sequence[PackagePlan]) -> tuple[Step, ...]:
     Raises:
         KeymintError: the errors of all packages.
     """
-    if errors := [error for each in planned for error in each.errors]:
-        raise KeymintError.of(errors)
+    require_none(error for each in planned for error in each.errors)
     return tuple(each.step for each in planned if each.step)
 
 

@@ -31,7 +31,7 @@ from comarmor.values import Data, field
 from comarmor.xml.reader import XINCLUDE
 from keymint.api import LearnedPolicy, LoadedPolicy
 from keymint.api.graph import Edge, Graph, general_expression, is_generated
-from keymint.errors import Diagnostic, KeymintError, Origin, Spot
+from keymint.errors import Diagnostic, KeymintError, Origin, Spot, require_none
 from keymint.ir import SubjectRules
 from keymint.names import name_of
 
@@ -197,8 +197,7 @@ def policy_of(subjects: Sequence[SubjectRules], name: str, note: str = "") -> tu
         for rule in each.rules
         if max(map(len, (*rule.expressions, *rule.partitions))) > MOST_CHARACTERS
     ]
-    if too_long:
-        raise KeymintError.of(too_long)
+    require_none(too_long)
     document = profiles({each.subject: _folded(each.rules) for each in subjects}, note.replace("--", "- -"))
     policy = parse(read_document(document, name, Path("/")))  # it includes nothing, so it may be read from anywhere
     return document, tuple(SubjectRules(each.subject, policy.rules(each.subject)) for each in subjects)

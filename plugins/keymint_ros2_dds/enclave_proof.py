@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from keymint.api import Claim, ComparisonTask, EnclaveFiles, ProofTask, ValidityTerm
-from keymint.errors import KeymintError, Origin
+from keymint.errors import Origin, require_none
 from keymint.pki import certificates, smime
 from keymint.pki.examine import enclave_file
 from keymint_ros2_dds import subject_names
@@ -37,8 +37,7 @@ def question(task: ProofTask) -> _Question:
         KeymintError: a file of the enclave is missing, cannot be read, or is not issued by the anchors; or a rule of
             the policy cannot be mapped.
     """
-    if findings := differences(task.enclave):
-        raise KeymintError.of(findings)
+    require_none(differences(task.enclave))
     content, place = _signed(task.enclave, PERMISSIONS, unsigned=task.unsigned)
     package, name = task.package, _subject_name(task.enclave)
     held = ComparisonTask(

@@ -20,7 +20,7 @@ from comarmor.text import lazy_regex, quote
 from comarmor.values import replace
 from keymint.api import ExportedPolicy, ImportedSubject
 from keymint.api.xml_templates import xml_document
-from keymint.errors import Diagnostic, KeymintError, Origin, Severity, UnsayableError
+from keymint.errors import Diagnostic, Origin, Severity, UnsayableError, require_none
 from keymint.ir import SubjectRules
 from keymint_ros2_sros2 import syntax
 from keymint_ros2_sros2.deviations import permissions_document, subject_name
@@ -156,8 +156,7 @@ def export_policy(subjects: Sequence[SubjectRules], *, lossy: bool = False) -> E
     """
     found: list[Diagnostic] = []
     enclaves = [_enclave(each, found, lossy=lossy) for each in subjects]
-    if errors := [each for each in found if each.severity is Severity.ERROR]:
-        raise KeymintError.of(dict.fromkeys(errors))
+    require_none(dict.fromkeys(each for each in found if each.severity is Severity.ERROR))
     made = tuple(
         ImportedSubject(kept, permissions_document(enclave, graph=graph), subject_name(enclave))
         for enclave, kept, graph in enclaves

@@ -29,7 +29,7 @@ from comarmor.rules import PERMISSIONS, Effect, Rule
 from comarmor.values import replace
 from comarmor.xml.reader import XINCLUDE
 from keymint.api import ImportedPolicy, ImportedSubject, ImportRequest, PolicySource
-from keymint.errors import Diagnostic, KeymintError, Severity
+from keymint.errors import Diagnostic, KeymintError, Severity, require_none
 from keymint.ir import SubjectRules
 from keymint.names import name_of
 from keymint_ros2_sros2 import syntax
@@ -49,8 +49,7 @@ def load(sources: Sequence[PolicySource], *_of_includes: object) -> ComArmorPoli
     findings: list[Diagnostic] = []
     for source in sources:
         policy = parse(source.path)
-        if found := deviations(policy):
-            raise KeymintError.of(found)
+        require_none(deviations(policy))
         seen |= policy.seen
         findings += (each for each in _notes(policy) if each.severity is Severity.WARNING)
         for enclave in policy.enclaves:
@@ -228,8 +227,7 @@ def translate_policy(request: ImportRequest) -> ImportedPolicy:
     """
     policy = parse(request.path)
     found = deviations(policy)
-    if refused := [each for each in found if not (request.accept and each.code in ACCEPTABLE)]:
-        raise KeymintError.of(refused)
+    require_none(each for each in found if not (request.accept and each.code in ACCEPTABLE))
     graph = request.implicit and policy.has_graph
     enclaves: dict[str, list[syntax.Sros2Enclave]] = {}
     for enclave in policy.enclaves:

@@ -20,7 +20,7 @@ from comarmor.rules import PERMISSIONS, Effect
 from comarmor.text import did_you_mean, quote
 from comarmor.values import Data, field, replace
 from keymint.api import PolicySource
-from keymint.errors import Defects, Diagnostic, KeymintError, Origin
+from keymint.errors import Defects, Diagnostic, KeymintError, Origin, require_none
 from keymint_ros2_table.files import read
 from keymint_ros2_table.rows import TableRow
 
@@ -48,8 +48,7 @@ def load(
     for source in sources:
         require_policies([source], "a CSV file or an SQLite database")
         maker.add(source.path)
-    if maker.defects.found:
-        raise KeymintError.of(maker.defects.found)
+    require_none(maker.defects.found)
     profiles = (
         Profile(text, False, (subject,), (), tuple(maker.parts[text]), subject.where)
         for text, subject in maker.subjects.items()

@@ -11,7 +11,7 @@ from comarmor.text import lazy_regex, quote
 from comarmor.xml.reader import line
 from keymint.api import Extension, PackageSettings, PackageSources, Role, SourcePart, WorkspaceProfile
 from keymint.api.source_documents import Reader, text
-from keymint.errors import Diagnostic, KeymintError, Origin
+from keymint.errors import Diagnostic, KeymintError, Origin, require_none
 from keymint_ros2_zenoh.lowering.permissions import check_distro
 from keymint_ros2_zenoh.settings import Router, ZenohSettings, is_address
 
@@ -54,8 +54,7 @@ def settings(sources: PackageSources) -> PackageSettings:
     part = sources.parts[PART]
     check_distro(sources.distro, part.where)
     values = _values(part, sources.install_space)
-    if defects := list(_defects(values)):
-        raise KeymintError.of(defects)
+    require_none(_defects(values))
     (name, named_at), (host, host_at), (port, _) = (values[path] for path in _REQUIRED)
     router = Router(name, host, int(port), host_at)
     is_server = sources.name == name

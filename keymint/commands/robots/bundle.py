@@ -17,7 +17,7 @@ from keymint.authority.rollover import phase_of
 from keymint.command_line.named_files import told_written, user_path, write_outputs
 from keymint.command_line.options import Names, bundle_output_option, names_group
 from keymint.command_line.verb import Report, Run, flag, verb
-from keymint.errors import Diagnostic, KeymintError, Origin, usage_error
+from keymint.errors import Diagnostic, KeymintError, Origin, require_none, usage_error
 from keymint.examine.keystore import of_enclaves
 from keymint.life.terms import iso_time
 from keymint.life.workspace_register import complete_register, register_change, withdrawn
@@ -103,8 +103,7 @@ def _in_force(session: Session, names: Collection[str]) -> Mapping[str, MintedAu
                 help=f"run 'keymint build {name}' and 'keymint install {name}' first",
                 code="not-installed",
             )
-    if found := [each for each in of_enclaves(after) if each.subject in set(map(subject_of, names))]:
-        raise KeymintError.of(found)
+    require_none(each for each in of_enclaves(after) if each.subject in set(map(subject_of, names)))
     return authorities
 
 
@@ -210,8 +209,7 @@ def plan_bundles(
             made.append(_bundle(source or session, name, request, files, register.bundles[name], authorities))
         except KeymintError as error:
             errors += [replace(each, subject=each.subject or subject_of(name)) for each in error.diagnostics]
-    if errors:
-        raise KeymintError.of(dict.fromkeys(errors))
+    require_none(dict.fromkeys(errors))
     return Plan((), session.state, first=register_change(session, register)), tuple(made)
 
 

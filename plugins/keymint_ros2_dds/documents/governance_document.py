@@ -15,7 +15,7 @@ from comarmor.patterns.relations import covers, union_covers
 from comarmor.text import lazy_regex
 from comarmor.values import replace
 from keymint.api import Package
-from keymint.errors import Diagnostic, KeymintError, Severity
+from keymint.errors import Diagnostic, Severity, require_none
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.domains import check_domains
 from keymint_ros2_dds.enclave_layout import GOVERNANCE
@@ -51,8 +51,7 @@ def build(package: Package, *, allow_vendor_specific: bool) -> tuple[bytes, tupl
         return content, ()
     content, diagnostics = _compile(governance, package.distro, allow_vendor_specific)
     diagnostics = tuple(replace(item, subject=package.subject) for item in diagnostics)
-    if errors := [item for item in diagnostics if item.severity is Severity.ERROR]:
-        raise KeymintError.of(errors)
+    require_none(item for item in diagnostics if item.severity is Severity.ERROR)
     return content, diagnostics
 
 

@@ -10,7 +10,7 @@ from lxml import etree
 
 from comarmor.rules import Effect
 from keymint.api import DomainRange, Grant
-from keymint.errors import Diagnostic, KeymintError
+from keymint.errors import Diagnostic, require_none
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.domains import check_domains
 from keymint_ros2_dds.enclave_layout import PERMISSIONS
@@ -37,8 +37,7 @@ def render(permissions: Grant, rules: Sequence[GrantRule[str]]) -> bytes:
         message = f"the permissions end in the year {period.not_after.year}, which Cyclone DDS reads as expired"
         help_ = f"let them end by {_MAX_YEAR}"
         problems.append(Diagnostic.error("portability-date", message, permissions.origin, help_, subject))
-    if problems:
-        raise KeymintError.of(problems)
+    require_none(problems)
     name = subject_name_of(permissions)
     return dds_xml.indented_if_small(lambda indent: _text(permissions, name, rules, indent))
 

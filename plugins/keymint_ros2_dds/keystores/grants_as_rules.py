@@ -21,7 +21,7 @@ from comarmor.rules import Effect, Rule
 from comarmor.text import quote
 from comarmor.values import Data
 from keymint.api import DomainRange, EnclaveFiles, FoundEnclave, GrantedRules, InstalledRights, KeystoreFiles
-from keymint.errors import Diagnostic, KeymintError, Origin
+from keymint.errors import Diagnostic, KeymintError, Origin, require_none
 from keymint.ir import SubjectRules
 from keymint.pki import certificates, smime
 from keymint.pki.distinguished_names import parse
@@ -102,8 +102,7 @@ def rules_of(
     Raises:
         KeymintError: its schema does not allow the document, or no policy can say what it grants, with ``file:line``.
     """
-    if document.defects:
-        raise KeymintError.of(document.defects)
+    require_none(document.defects)
     grant, findings = _grant(document, name, subject)
     if grant is None:
         return (), (), findings

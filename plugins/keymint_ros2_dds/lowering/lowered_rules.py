@@ -20,7 +20,7 @@ from comarmor.patterns.tokens import SPECIAL
 from comarmor.rules import Effect
 from comarmor.text import did_you_mean
 from comarmor.values import Data
-from keymint.errors import Diagnostic, KeymintError
+from keymint.errors import Diagnostic, KeymintError, require_none
 from keymint.ir import Rule, SubjectRules
 from keymint_ros2_dds.lowering import name_mapping
 from keymint_ros2_dds.lowering.name_mapping import (
@@ -108,8 +108,7 @@ def lower(rules: SubjectRules, distro: str) -> Lowered:
     Raises:
         KeymintError: an expression is invalid, or the distribution has no such entities; with ``file:line``.
     """
-    if unknown := [_unknown(rule, distro, rules.subject) for rule in rules.rules if not has_kind(distro, rule.kind)]:
-        raise KeymintError.of(unknown)
+    require_none(_unknown(rule, distro, rules.subject) for rule in rules.rules if not has_kind(distro, rule.kind))
     sides: dict[Effect, dict[TopicAction, dict[tuple[Glob, Partitions], Rule]]] = {
         effect: {action: {} for action in TOPIC_ACTIONS} for effect in Effect
     }

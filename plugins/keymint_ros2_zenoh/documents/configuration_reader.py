@@ -15,7 +15,7 @@ import fastjsonschema
 
 from comarmor.data import locate
 from comarmor.text import did_you_mean, quote
-from keymint.errors import Diagnostic, KeymintError, Origin
+from keymint.errors import Diagnostic, KeymintError, Origin, require_none
 from keymint_ros2_zenoh import keyexpr
 from keymint_ros2_zenoh.documents import json5
 from keymint_ros2_zenoh.documents.configuration import (
@@ -149,8 +149,7 @@ class _Reading:
             message = f"the access control has no {' and no '.join(missing)}"
             help_ = "Zenoh refuses it at start: give all three lists"
             raise KeymintError(message, where=control.where, help=help_, code="zenoh-configuration")
-        if defects := [*self._ids(control), *self._key_exprs(control)]:
-            raise KeymintError.of(defects)
+        require_none([*self._ids(control), *self._key_exprs(control)])
         return control
 
     def _items(self, key: str) -> Iterator[tuple[Mapping[str, Any], Origin]]:

@@ -25,7 +25,7 @@ from comarmor.rules import Effect, parts
 from comarmor.text import did_you_mean
 from comarmor.values import Data
 from keymint.api import DomainRange, Package
-from keymint.errors import Defects, Diagnostic, KeymintError, Severity
+from keymint.errors import Defects, Diagnostic, KeymintError, Severity, require_none
 from keymint.ir import Rule, SubjectRules
 from keymint_ros2_zenoh import keyexpr
 from keymint_ros2_zenoh.documents.configuration import AclRule, Flow, Message, Permission
@@ -102,8 +102,7 @@ def name_rules(rules: SubjectRules, distro: str) -> NameRules:
             )
             # Without the files that include the rule: they differ by subject, and all subjects have one note together.
             diagnostics.append(Diagnostic.note(_DROPPED, message, rule.origin.alone(), "", rules.subject))
-    if errors := [each for each in diagnostics if each.severity is Severity.ERROR]:
-        raise KeymintError.of(errors)
+    require_none(each for each in diagnostics if each.severity is Severity.ERROR)
     return NameRules(rules.subject, tuple(found), tuple(diagnostics))
 
 

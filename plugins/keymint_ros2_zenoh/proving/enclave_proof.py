@@ -19,7 +19,7 @@ from comarmor.patterns.steps import spend, step_counting_cache
 from comarmor.rules import Effect
 from comarmor.values import Data
 from keymint.api import Claim, Counterexample, DomainRange, Endpoint, PolicyDecision, Proof, ProofTask, Verdict
-from keymint.errors import Diagnostic, KeymintError, Reason
+from keymint.errors import Diagnostic, Reason, require_none
 from keymint.pki.examine import enclave_file
 from keymint_ros2_zenoh.decision import AccessModel, KeyLists, LinkAccess, first_common_name
 from keymint_ros2_zenoh.documents.configuration import Flow, Message
@@ -310,8 +310,7 @@ def prove(task: ProofTask) -> tuple[Claim, ...]:
     package, enclave = task.package, task.enclave
     if is_router(package):
         return ()
-    if found := differences(enclave):
-        raise KeymintError.of(found)
+    require_none(differences(enclave))
     router = common_name(router_of(package))
     session = read(enclave_file(enclave.files, enclave.folder, SESSION), f"{enclave.folder}/{SESSION}")
     model = router_access(enclave.shared[ROUTER], f"{enclave.shared_folder}/{ROUTER}")

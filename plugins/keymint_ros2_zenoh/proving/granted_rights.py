@@ -14,7 +14,7 @@ from comarmor.patterns import glob
 from comarmor.rules import Effect
 from comarmor.text import lazy_regex
 from keymint.api import DomainRange, EnclaveFiles, InstalledRights
-from keymint.errors import KeymintError, Origin
+from keymint.errors import KeymintError, Origin, require_none
 from keymint.ir import Rule
 from keymint.pki import distinguished_names
 from keymint_ros2_zenoh.decision import LinkAccess, first_common_name
@@ -46,8 +46,7 @@ def rights(enclave: EnclaveFiles, subject: str, built: Mapping[str, bytes] | Non
     if ROUTER not in shared:
         return None
     if built is None:
-        if found := router_differences(shared, folder, enclave.anchors.authorities[ACCESS]):
-            raise KeymintError.of(found)
+        require_none(router_differences(shared, folder, enclave.anchors.authorities[ACCESS]))
         name = first_common_name(enclave.files.get(CERTIFICATE, b""))
     else:
         attributes = distinguished_names.attributes(distinguished_names.parse(enclave.anchors.subject_name))

@@ -16,7 +16,7 @@ from itertools import chain
 
 from comarmor.values import Data
 from keymint.api import Claim, Package, Proof, SharedProofTask
-from keymint.errors import KeymintError
+from keymint.errors import require_none
 from keymint_ros2_zenoh import keyexpr
 from keymint_ros2_zenoh.decision import LinkAccess, first_common_name
 from keymint_ros2_zenoh.documents.configuration import Configuration, Flow, Message
@@ -136,8 +136,7 @@ def prove_shared(task: SharedProofTask) -> tuple[Claim, ...]:
     Raises:
         KeymintError: the router's file is missing, cannot be read, or does not rest on the workspace's authority.
     """
-    if found := router_differences(task.shared, task.shared_folder, task.anchors[ACCESS]):
-        raise KeymintError.of(found)
+    require_none(router_differences(task.shared, task.shared_folder, task.anchors[ACCESS]))
     file = f"{task.shared_folder}/{ROUTER}"
     configuration = read(task.shared[ROUTER], file)
     model = router_access(task.shared[ROUTER], file)
