@@ -87,12 +87,9 @@ def require_known(files: AuthorityFiles, key: keys.PublicKey, given: Origin | No
     help_ = f"restore {files.key_file} and {files.certificate_file}; {new_authority_help(files.name)}"
     if given:
         help_ = f"'keymint authority replace {files.name} --certificate {given.file}' replaces it step by step"
-    raise KeymintError(
-        f"the key of the authority {files.name!r} was replaced: the deployed enclaves trust another one",
-        where=given or (files.certificate_file if files.key is None else files.key_file),
-        help=help_,
-        code="authority-replaced",
-    )
+    message = f"the key of the authority {files.name!r} was replaced: the deployed enclaves trust another one"
+    where = given or (files.certificate_file if files.key is None else files.key_file)
+    raise KeymintError(message, where=where, help=help_, code="authority-replaced")
 
 
 def require_in_use(files: AuthorityFiles, key: keys.PublicKey) -> None:

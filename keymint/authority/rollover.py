@@ -227,12 +227,11 @@ def _require_distinct(session: Session, name: str, present: x509.Certificate, fo
         help_ = f"'keymint authority renew {name}' adds it; or stage a second keystore, without --vendor"
         raise KeymintError(message, where=where, help=help_, code="authority-without-identifier")
     if present.subject != following.subject:
-        raise KeymintError(
-            f"the next authority {name!r} has another subject name than the present one, which some software compares",
-            where=where,
-            help="give it the same name, or stage a second keystore, without --vendor",
-            code="authority-renamed",
+        message = (
+            f"the next authority {name!r} has another subject name than the present one, which some software compares"
         )
+        help_ = "give it the same name, or stage a second keystore, without --vendor"
+        raise KeymintError(message, where=where, help=help_, code="authority-renamed")
 
 
 # -- files -----------------------------------------------------------------------------------------------------------

@@ -213,12 +213,10 @@ def _require_certified(session: Session, name: str, there: Collection[str], *, r
             help_ = f"'keymint renew --rekey {name}' makes a new key"
             raise KeymintError(message, where=session.issuance_place(name), help=help_, code="key-barred")
     elif name not in there and not (rekey and register_of(session).of(name)):  # an enclave that was lost gets a new key
-        raise KeymintError(
-            f"the enclave {subject_of(name)} is not installed, so there is nothing to renew",
-            where=session.workspace.origin(session.enclave_folder(name)),
-            help=f"run 'keymint build {name}' and 'keymint install {name}'",
-            code="enclave-missing",
-        )
+        message = f"the enclave {subject_of(name)} is not installed, so there is nothing to renew"
+        where = session.workspace.origin(session.enclave_folder(name))
+        help_ = f"run 'keymint build {name}' and 'keymint install {name}'"
+        raise KeymintError(message, where=where, help=help_, code="enclave-missing")
 
 
 def _require_same(session: Session, name: str) -> Mapping[str, Stamp]:

@@ -57,13 +57,10 @@ def _named(plugins: Plugins, chosen: Sequence[str], tier: Tier, build_types: Seq
     for name, transport in named.items():
         if (needed := plugins.read_by(name)) not in build_types:
             fitting = [other for each in build_types for other in plugins.transports_of(each)]
-            raise KeymintError(
-                f"the transport {name!r} reads what {needed} builds, but the build type here is "
-                f"{' and '.join(build_types)}",
-                help=f"use {' or '.join(f'-i {other}' for other in fitting)}" if fitting else "",
-                code="transport-foreign",
-                exit_code=ExitCode.USAGE,
-            )
+            here = " and ".join(build_types)
+            message = f"the transport {name!r} reads what {needed} builds, but the build type here is {here}"
+            help_ = f"use {' or '.join(f'-i {other}' for other in fitting)}" if fitting else ""
+            raise KeymintError(message, help=help_, code="transport-foreign", exit_code=ExitCode.USAGE)
         usable = transport.usable()
         if not usable.usable:
             message = f"the transport {name!r} cannot be used here: {usable.reason}"

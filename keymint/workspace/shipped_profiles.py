@@ -114,14 +114,10 @@ def plan_acceptance(
             raise KeymintError(message, help=help_, code="package-unknown", exit_code=ExitCode.USAGE)
         before = accepted.get(name, _NOTHING)
         files = {each.path: each.sha256 for each in by_package[name]}
-        if wanted and wanted != package_digest(files):
-            raise KeymintError(
-                f"the package {quote(name)} ships something else than what is to be accepted: its digest is "
-                f"{package_digest(files)}",
-                where=by_package[name][0].where,
-                help="leave out --trust-package to see what it would change now",
-                code="package-changed",
-            )
+        if wanted and wanted != (now := package_digest(files)):
+            message = f"the package {quote(name)} ships something else than what is to be accepted: its digest is {now}"
+            where, help_ = by_package[name][0].where, "leave out --trust-package to see what it would change now"
+            raise KeymintError(message, where=where, help=help_, code="package-changed")
         accepted[name] = AcceptedPackage(files, before.follows_links or trust_links)
         copies = {each.path: each.content for each in by_package[name]}
         changes = (

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from comarmor.errors import ComArmorError, Diagnostic, ExitCode, Origin, Reason, Severity, citation
+from comarmor.errors import ComArmorError, Diagnostic, ExitCode, Origin, Reason, Severity, citation, require_none
 
 
 @pytest.mark.parametrize(
@@ -35,3 +35,11 @@ def test_an_error_of_several_diagnostics() -> None:
     error = ComArmorError.of([first, second], ExitCode.USAGE)
     assert str(error) == "f:1: one (fix it)"
     assert (error.diagnostics, error.exit_code) == ((first, second), ExitCode.USAGE)
+
+
+def test_diagnostics_are_raised_if_there_are_any() -> None:
+    found = [Diagnostic.error("c", text) for text in ("one", "two")]
+    require_none([])
+    with pytest.raises(ComArmorError) as caught:
+        require_none(each for each in found)
+    assert caught.value.diagnostics == tuple(found)

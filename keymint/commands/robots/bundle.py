@@ -97,12 +97,10 @@ def _in_force(session: Session, names: Collection[str]) -> Mapping[str, MintedAu
             help_ = f"'keymint renew --rekey {name}' makes a new key, or 'keymint sign' certifies one of its robot"
             raise KeymintError(message, help=help_, code="identity-revoked")
         if plan.writes() or not (is_current(after, name) or would_stay(after, name, authorities)):
-            raise KeymintError(
-                f"the enclave {subject_of(name)} is not installed as its sources and authorities are now",
-                where=session.workspace.origin(session.enclave_folder(name)),
-                help=f"run 'keymint build {name}' and 'keymint install {name}' first",
-                code="not-installed",
-            )
+            message = f"the enclave {subject_of(name)} is not installed as its sources and authorities are now"
+            help_ = f"run 'keymint build {name}' and 'keymint install {name}' first"
+            where = session.workspace.origin(session.enclave_folder(name))
+            raise KeymintError(message, where=where, help=help_, code="not-installed")
     require_none(each for each in of_enclaves(after) if each.subject in set(map(subject_of, names)))
     return authorities
 
