@@ -4,24 +4,48 @@
 :func:`dataclasses.dataclass` makes a class with slots a second time, and generates and compiles each method of it; a
 run makes no object of most of them. Here a class is made once and gets what it needs at the first use. Only
 ``__init__`` is generated, for a class with many objects; the other methods are functions over the values of the fields.
+The library itself, which takes as long to load as ten of our modules, loads when its part of a class is asked for.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import operator
 import sys
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import MISSING, Field, field
 from functools import cache, partial
-from types import MemberDescriptorType
+from types import MemberDescriptorType, SimpleNamespace
 from typing import TYPE_CHECKING, Any, NoReturn, dataclass_transform
 
-__all__ = ["Data", "defaults_of", "field", "replace"]
+if TYPE_CHECKING:
+    from dataclasses import Field, field, replace
+
+__all__ = ["Data", "defaults_of", "field", "replace", "values_of"]
+_MISSING = object()
 _FEW = 50
 """Objects of a class that are made before its ``__init__`` is generated."""
 _DECLARED = "__declared__"
-"""Attribute of a class with all its fields: the type of each, and its default or :func:`dataclasses.field`."""
+"""Attribute of a class with all its fields: the type of each, and its default or :func:`field`."""
+
+
+class _Described(SimpleNamespace):
+    """What a class says of a field beside its type, as :func:`dataclasses.field` takes it."""
+
+    default: Any = _MISSING
+    default_factory: Any = _MISSING
+    init = repr = compare = True
+    hash: bool | None = None
+
+
+if not TYPE_CHECKING:
+    field = _Described
+
+    def replace(given: Any, /, **changes: Any) -> Any:
+        """Return an object with other values of some fields, as :func:`dataclasses.replace`, which asks more first."""
+        cls = type(given)
+        if _DECLARED not in vars(cls):
+            return _library().replace(given, **changes)
+        values = [changes.pop(name) if name in changes else getattr(given, name) for name in _given(cls)[0]]
+        return cls(*values, **changes)
 
 
 class _DataType(type):
@@ -53,7 +77,7 @@ class _DataType(type):
                 inherited.update(*[vars(each).get("__slots__", ()) for each in base.__mro__])
         for each in types:
             if "ClassVar" not in str(types[each]):
-                declared[each] = types[each], body.pop(each, MISSING)
+                declared[each] = types[each], body.pop(each, _MISSING)
                 if each not in inherited:
                     own.append(each)
         new = {**_methods(frozen, eq, order), **body, _DECLARED: declared}
@@ -72,22 +96,20 @@ class Data(metaclass=_DataType):
     """
 
 
-if TYPE_CHECKING:
-    from dataclasses import replace
-else:
-
-    def replace(given: Any, /, **changes: Any) -> Any:
-        """Return an object with other values of some fields, as :func:`dataclasses.replace`, which asks more first."""
-        cls = type(given)
-        if _DECLARED not in vars(cls):
-            return dataclasses.replace(given, **changes)
-        values = [changes.pop(name) if name in changes else getattr(given, name) for name in _given(cls)[0]]
-        return cls(*values, **changes)
-
-
 def defaults_of(cls: type) -> Mapping[str, Any]:
     """Return the defaults of the fields of a data type by name, except those that are made for each object."""
     return _given(cls)[1]
+
+
+def values_of(given: Any) -> dict[str, Any]:
+    """Return the values of an object of a data type by the names of its fields."""
+    return {name: getattr(given, name) for name in _declared(type(given))}
+
+
+def _library() -> Any:
+    import dataclasses  # noqa: PLC0415 - most runs do without it
+
+    return dataclasses
 
 
 @cache
@@ -123,19 +145,21 @@ def _declared(cls: type) -> dict[str, tuple[Any, Any]]:
     return declared
 
 
-def _fields(cls: type) -> dict[str, Field[Any]]:
-    """Return the fields of a class by name, those of its bases first; they do not know their names."""
+def _fields(cls: type) -> dict[str, _Described]:
+    """Return what is said of the fields of a class by name, those of its bases first."""
     declared = _declared(cls).items()
-    return {name: each if isinstance(each, Field) else field(default=each) for name, (_, each) in declared}
+    return {name: each if isinstance(each, _Described) else _Described(default=each) for name, (_, each) in declared}
 
 
 def _known_fields(cls: type) -> dict[str, Field[Any]]:
     """Return the fields as the library knows them: by name, with their types, and with all that it notes about any."""
-    fields, declared = _fields(cls), _declared(cls)
-    for name, each in fields.items():
+    fields: dict[str, Field[Any]] = {}
+    for name, described in _fields(cls).items():
+        said = {word: value for word, value in vars(described).items() if value is not _MISSING}
+        fields[name] = each = _library().field(**said)
         for slot, value in _noted():
             setattr(each, slot, value)
-        each.name, each.type, each.kw_only = name, declared[name][0], False
+        each.name, each.type, each.kw_only = name, _declared(cls)[name][0], False
     return fields
 
 
@@ -144,9 +168,10 @@ def _noted() -> list[tuple[str, Any]]:
     """Return what the library notes about the field of a class that nothing says, by slot."""
     # Without a text about the class the library makes one, which takes long.
     made = type("Made", (), {"__doc__": "made", "__annotations__": {"field": "int"}})
-    full, bare = dataclasses.fields(dataclasses.dataclass(init=False, repr=False, eq=False)(made))[0], field()
+    library = _library()
+    full, bare = library.fields(library.dataclass(init=False, repr=False, eq=False)(made))[0], library.field()
     # What is None in both, such as a hash, a field may say.
-    return [(slot, value) for slot in Field.__slots__ if getattr(bare, slot) is None and (value := getattr(full, slot))]
+    return [(slot, value) for slot in bare.__slots__ if getattr(bare, slot) is None and (value := getattr(full, slot))]
 
 
 @cache
@@ -156,12 +181,12 @@ def _given(cls: type) -> tuple[list[str], dict[str, Any], dict[str, Callable[[],
     defaults: dict[str, Any] = {}
     factories: dict[str, Callable[[], Any]] = {}
     for name, (_, each) in _declared(cls).items():
-        is_described = isinstance(each, Field)
+        is_described = isinstance(each, _Described)
         if not is_described or each.init:
             parameters.append(name)
-        if is_described and each.default_factory is not MISSING:
+        if is_described and each.default_factory is not _MISSING:
             factories[name] = each.default_factory
-        elif (default := each.default if is_described else each) is not MISSING:
+        elif (default := each.default if is_described else each) is not _MISSING:
             defaults[name] = default
     return parameters, defaults, factories
 
@@ -204,15 +229,15 @@ def _first_init(cls: Any) -> Callable[..., None]:
 def _init(cls: Any) -> Callable[..., None]:
     """Return the method that sets the fields."""
     fields = _fields(cls)
-    known: dict[str, Any] = {"_set": object.__setattr__, "_missing": MISSING}
+    known: dict[str, Any] = {"_set": object.__setattr__, "_missing": _MISSING}
     parameters, body = ["self"], []
     for name, each in fields.items():
         value = name
-        if each.default_factory is not MISSING:
+        if each.default_factory is not _MISSING:
             known[f"_new_{name}"] = each.default_factory
             value = f"_new_{name}() if {name} is _missing else {name}" if each.init else f"_new_{name}()"
             default = "=_missing"
-        elif each.default is not MISSING:
+        elif each.default is not _MISSING:
             known[f"_default_{name}"] = each.default
             default = f"=_default_{name}"
         else:
@@ -239,9 +264,9 @@ def _init(cls: Any) -> Callable[..., None]:
     return init
 
 
-def _compared(cls: type, counts: Callable[[Field[Any]], bool] = operator.attrgetter("compare")) -> Callable[[Any], Any]:
+def _compared(cls: type, counts: Callable[[_Described], bool] = operator.attrgetter("compare")) -> Callable[[Any], Any]:
     """Return a function that returns the values of the fields that count, as a tuple if there are several."""
-    names = [name for name, (_, each) in _declared(cls).items() if not isinstance(each, Field) or counts(each)]
+    names = [name for name, (_, each) in _declared(cls).items() if not isinstance(each, _Described) or counts(each)]
     return operator.attrgetter(*names) if names else lambda _self: ()
 
 
@@ -257,13 +282,13 @@ def _hash(cls: type) -> Callable[[Any], int]:
 
 
 def _repr(self: Any) -> str:
-    shown = ", ".join(f"{each.name}={getattr(self, each.name)!r}" for each in dataclasses.fields(self) if each.repr)
+    shown = ", ".join(f"{name}={getattr(self, name)!r}" for name, each in _fields(type(self)).items() if each.repr)
     return f"{self.__class__.__qualname__}({shown})"
 
 
 def _refuse(self: object, name: str, _value: object = None) -> NoReturn:
     del self
-    raise dataclasses.FrozenInstanceError(f"cannot change field {name!r}")
+    raise _library().FrozenInstanceError(f"cannot change field {name!r}")
 
 
 def _reduce(cls: type) -> Callable[[Any], Any]:

@@ -28,6 +28,7 @@ SLOW = {
     "networkx",
     "isodate",
     "comarmor.language",
+    "dataclasses",
     "importlib.metadata",
 }
 
@@ -84,6 +85,21 @@ def named(tree: ast.AST) -> set[str]:
     }
 
 
+def test_data_types_describe_their_fields_by_the_function_of_their_module() -> None:
+    """What the function of the standard library returns, they would take for a default."""
+
+    def imported(tree: ast.AST, module: str) -> set[str]:
+        found = (each for each in ast.walk(tree) if isinstance(each, ast.ImportFrom) and each.module == module)
+        return {alias.name for each in found for alias in each.names}
+
+    both = [
+        path
+        for path, tree in modules()
+        if "field" in imported(tree, "dataclasses") and "Data" in imported(tree, "comarmor.values")
+    ]
+    assert both == []
+
+
 def test_one_module_knows_the_order_of_the_stages() -> None:
     using = {path: STAGES & named(tree) for path, tree in modules()}
     assert [path for path, stages in using.items() if stages and not path.startswith("keymint/stages/")] == []
@@ -108,7 +124,7 @@ def test_one_module_adds_a_plan_and_takes_it_into_account() -> None:
 # They may fall and never rise, and are counted as ``benchmarks/house.py`` does. Whoever lowers a number lowers its
 # budget. A change that must raise one says why in its commit.
 FILES_IN_A_FOLDER, FILES_IN_KEYMINT = 20, 8
-CODE_LINES, DATA_TYPES, PROTOCOLS = 46_550, 344, 0
+CODE_LINES, DATA_TYPES, PROTOCOLS = 46_558, 344, 0
 IMPORTED = {"--version": 12, "provision": 178, "status": 133}
 CONDUCTORS, JUDGES, DOUBLED_NAMES, BARE_NAMES = 1, 0, 0, 0
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import importlib.util
 import json
 import re
 import shlex
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
+from importlib.machinery import PathFinder
 from io import FileIO
 from pathlib import Path
 from typing import Any, cast
@@ -65,7 +65,7 @@ def how_to_add(package: str) -> str:
     environment = Path(sys.prefix)
     if (environment / "pipx_metadata.json").is_file():  # pipx may or may not put pip into its environments
         command = ["pipx", "inject", environment.name, package]
-    elif importlib.util.find_spec("pip") is None:  # as in the environments that uv makes
+    elif PathFinder.find_spec("pip") is None:  # as in the environments that uv makes
         command = ["uv", "pip", "install", "--python", sys.executable, package]
     else:
         command = [sys.executable, "-m", "pip", "install", package]

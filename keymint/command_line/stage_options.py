@@ -4,13 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 
 import click
 
 from comarmor.text import did_you_mean, lazy_regex
-from comarmor.values import Data
+from comarmor.values import Data, values_of
 from keymint.analysis.attachment_mistakes import attachment_mistakes
 from keymint.api import Bootstrap, Hint, LoadedPolicy, WorkspaceProfile
 from keymint.api.plugin_loader import Plugins
@@ -99,7 +98,7 @@ def refuse_contradiction(run: Run, workspace: Workspace, given: ProfileOptions, 
     Raises:
         KeymintError: the profile has another value, or does not have this setting.
     """
-    options = {**asdict(given), "transports": None, "policy": policy}
+    options = {**values_of(given), "transports": None, "policy": policy}
     values = {name.replace("_", "-"): str(value) for name, value in options.items() if value is not None}
     if not values and not given.transports:
         return

@@ -8,7 +8,6 @@ stands in the part ``Options:`` of the function's docstring; the other parts are
 
 from __future__ import annotations
 
-import copy
 import functools
 import inspect
 import os
@@ -114,8 +113,9 @@ def verb(
 
 def _former(now: click.Option, names: str) -> click.Option:
     """Return an option that does what another one does, by the names that it had before; no help page has it."""
-    before = copy.copy(now)
-    before.name, before.opts, before.hidden, before.help = f"former_{now.name}", names.split(), True, None
+    before = object.__new__(type(now))
+    changes = {"name": f"former_{now.name}", "opts": names.split(), "hidden": True, "help": None}
+    vars(before).update(vars(now) | changes)
     return before
 
 

@@ -12,7 +12,6 @@ import functools
 import weakref
 import zlib
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import Field, fields
 from datetime import UTC, datetime
 from typing import Any
 
@@ -260,8 +259,8 @@ _TABLES: Mapping[str, type[Any]] = {"certificates": IssuedCertificate, "rights":
 _NUMBERED = ("lists", "bundles")
 
 
-def _column(field: Field[Any]) -> tuple[str, Any]:
-    return _COLUMNS["str" if field.name == _SERIAL else str(field.type)]
+def _column(name: str, kind: str) -> tuple[str, Any]:
+    return _COLUMNS["str" if name == _SERIAL else kind]
 
 
 @functools.lru_cache(maxsize=2)  # each stage of a run reads it
@@ -318,19 +317,19 @@ def _entries(database: Any, table: str, version: int) -> tuple[Any, ...]:
         TypeError: a value is not one that :func:`register_content` makes.
         ValueError: the same.
     """
-    own = [each for each in fields(_TABLES[table]) if _SINCE.get(each.name, 0) <= version]
-    rows = database.execute(f"SELECT {', '.join(each.name for each in own)} FROM {table} ORDER BY number")  # noqa: S608 - constants
-    values = [*map(_values, own, zip(*rows, strict=True))]  # a column each; none if there are no rows
+    own = {name: kind for name, kind in _TABLES[table].__annotations__.items() if _SINCE.get(name, 0) <= version}
+    rows = database.execute(f"SELECT {', '.join(own)} FROM {table} ORDER BY number")  # noqa: S608 - constants
+    values = [*map(_values, own, own.values(), zip(*rows, strict=True))]  # a column each; none if there are no rows
     return tuple(map(_TABLES[table], *values)) if values else ()
 
 
-def _values(field: Field[Any], stored: Sequence[Any]) -> Sequence[Any]:
+def _values(name: str, type_: str, stored: Sequence[Any]) -> Sequence[Any]:
     """Return the values of a field from those of its column."""
-    if not all(issubclass(kind, _column(field)[1]) for kind in set(map(type, stored))):
+    if not all(issubclass(kind, _column(name, type_)[1]) for kind in set(map(type, stored))):
         raise TypeError
-    if field.name == _SERIAL:
+    if name == _SERIAL:
         return [int(each, 16) for each in stored]
-    if "datetime" not in str(field.type):
+    if "datetime" not in type_:
         return stored
     return [None if each is None else _moment(each) for each in stored]
 
@@ -352,7 +351,7 @@ def register_content(register: Register) -> Callable[[], tuple[bytes]]:
         database.execute(f"PRAGMA application_id = {_APPLICATION}")
         database.execute(f"PRAGMA user_version = {_VERSION}")
         for table, kind in _TABLES.items():
-            columns = (f"{field.name} {_column(field)[0]}" for field in fields(kind))
+            columns = (f"{name} {_column(name, type_)[0]}" for name, type_ in kind.__annotations__.items())
             database.execute(f"CREATE TABLE {table} (number INTEGER PRIMARY KEY, {', '.join(columns)})")
         database.execute(f"CREATE UNIQUE INDEX issued ON certificates (issuer, {_SERIAL})")
         database.execute("CREATE TABLE lists (issuer TEXT PRIMARY KEY, number INTEGER NOT NULL)")
@@ -360,9 +359,9 @@ def register_content(register: Register) -> Callable[[], tuple[bytes]]:
         database.execute("CREATE TABLE history (is_whole INTEGER NOT NULL)")
         entries = zip(_TABLES.items(), (register.certificates.values(), register.rights), strict=True)
         for (table, kind), rows in entries:
-            names = [field.name for field in fields(kind)]
+            names = kind.__annotations__
             insert = f"INSERT INTO {table} ({', '.join(names)}) VALUES ({', '.join('?' * len(names))})"  # noqa: S608 - constants
-            stored = (_stored(field, [getattr(each, field.name) for each in rows]) for field in fields(kind))
+            stored = (_stored(name, type_, [getattr(each, name) for each in rows]) for name, type_ in names.items())
             database.executemany(insert, zip(*stored, strict=True))
         for table, numbers in zip(_NUMBERED, (register.numbers, register.bundles), strict=True):
             database.executemany(f"INSERT INTO {table} VALUES (?, ?)", sorted(numbers.items()))  # noqa: S608 - constants
@@ -375,11 +374,11 @@ def register_content(register: Register) -> Callable[[], tuple[bytes]]:
     return made
 
 
-def _stored(field: Field[Any], values: Sequence[Any]) -> Sequence[Any]:
+def _stored(name: str, type_: str, values: Sequence[Any]) -> Sequence[Any]:
     """Return the column of a field from its values; the reverse of :func:`_values`."""
-    if field.name == _SERIAL:
+    if name == _SERIAL:
         return [f"{each:x}" for each in values]
-    if "datetime" not in str(field.type):
+    if "datetime" not in type_:
         return values
     return [each and _isoformat(each) for each in values]
 

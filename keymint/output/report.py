@@ -5,12 +5,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeVar
 
 from comarmor.text import lazy_regex
-from comarmor.values import Data, field, replace
+from comarmor.values import Data, field, replace, values_of
 from keymint.errors import Diagnostic, ExitCode, Severity
 from keymint.store.changes import Step
 from keymint.workspace.workspace import Workspace
@@ -143,7 +142,7 @@ def _step(step: Step, workspace: Workspace | None) -> dict[str, Any]:
         "written": [typed(change.folder, name) for change in step.changes for name in change.written],
         "removed": [typed(change.folder, name) for change in step.changes for name in change.removed],
         "detail": step.detail,
-        "sizes": [asdict(size) for size in step.sizes],
+        "sizes": [values_of(size) for size in step.sizes],
     }
 
 

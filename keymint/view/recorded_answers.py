@@ -22,7 +22,6 @@ import os
 import stat
 import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict
 from datetime import datetime
 from functools import cached_property
 from itertools import takewhile
@@ -30,7 +29,7 @@ from operator import attrgetter
 from typing import Any, NamedTuple
 
 from comarmor.text import lazy_regex
-from comarmor.values import Data
+from comarmor.values import Data, values_of
 from keymint import __version__
 from keymint.view.stamps import one_of, sealed_document, unsealed_document
 
@@ -265,7 +264,7 @@ def record(
             "real": real,
             "status": {state: own[0]} | {path: status for path, (status, _) in others.items()},
             "spaces": sight.roots,
-            **asdict(answer),
+            **values_of(answer),
         }
     )
     return own_record + sealed_document(

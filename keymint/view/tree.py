@@ -6,7 +6,6 @@ Stages plan against this view, so that one run can plan all of them before its f
 
 from __future__ import annotations
 
-import copy
 import os
 import stat
 import sys
@@ -206,7 +205,8 @@ class Tree:
     def apart(self) -> Tree:
         """Return this view with a memory of its own of the disk."""
         tree = Tree()
-        tree.__dict__.update({name: copy.copy(known) for name, known in self.__dict__.items()})
+        for name, known in vars(self).items():
+            setattr(tree, name, known.copy() if isinstance(known, dict | set) else known)
         return tree
 
     @property

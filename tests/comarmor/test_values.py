@@ -8,13 +8,13 @@ import dataclasses
 import inspect
 import pickle
 from collections.abc import Callable
-from dataclasses import FrozenInstanceError, field
+from dataclasses import FrozenInstanceError
 from typing import Any
 
 import pytest
 from hypothesis import given, strategies as st
 
-from comarmor.values import Data, defaults_of, replace
+from comarmor.values import Data, defaults_of, field, replace, values_of
 
 
 class Standard(type):
@@ -30,8 +30,8 @@ class Standard(type):
         return dataclasses.dataclass(frozen=frozen, slots=slots, **options)(made)
 
 
-def classes(base: Any) -> dict[str, Any]:
-    """Return classes of all kinds that have a base."""
+def classes(base: Any, field: Any) -> dict[str, Any]:
+    """Return classes of all kinds that have a base, and whose fields are described by a function."""
 
     class Frozen(base):
         one: int
@@ -95,7 +95,7 @@ def classes(base: Any) -> dict[str, Any]:
     return {each.__name__: each for each in (Frozen, Ordered, Below, Changing, Same, Own, Open, Single, Empty, Calling)}
 
 
-OURS, THEIRS = classes(Data), classes(Standard("Base", (), {}))
+OURS, THEIRS = classes(Data, field), classes(Standard("Base", (), {}), dataclasses.field)
 for _name, _class in OURS.items():  # so that they can be pickled
     _class.__qualname__ = _name
     globals()[_name] = _class
@@ -140,6 +140,7 @@ def test_their_defaults_are_those_of_their_fields(name: str) -> None:
     fields = dataclasses.fields(THEIRS[name])
     expected = {each.name: each.default for each in fields if each.default is not dataclasses.MISSING}
     assert defaults_of(OURS[name]) == expected
+    assert values_of(OURS[name](1)) == dataclasses.asdict(THEIRS[name](1))
 
 
 @pytest.mark.parametrize("name", OURS)

@@ -25,11 +25,10 @@ import socket
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar, Self
 
-from comarmor.values import field
 from keymint.host.vendor_process import CommandProcess, ProcessFailedError
 from keymint_ros2_dds.enclave_layout import CRL
 from keymint_ros2_dds.vendors import cyclone_access_control, probe_builds
