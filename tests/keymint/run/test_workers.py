@@ -263,7 +263,7 @@ sys.exit(main(sys.argv[1:]))
 
 
 @pytest.mark.parametrize(
-    ("module", "stage"), [("build", "BuildStage"), ("install", "InstallStage"), ("proof.prove", "ProofStage")]
+    ("module", "stage"), [("build", "BuildStage"), ("install", "InstallStage"), ("prove", "ProofStage")]
 )
 def test_a_stage_may_look_at_a_new_package_as_at_any_other(
     keymint: Keymint, tmp_path: Path, module: str, stage: str
