@@ -8,7 +8,6 @@ notation, so that concatenated pieces do not change each other's meaning.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from enum import StrEnum
 from functools import partial
 from itertools import product
 from math import prod
@@ -20,11 +19,13 @@ from comarmor.text import did_you_mean, lazy_regex, quote
 from comarmor.values import Data, field
 
 
-class Placeholder(StrEnum):
+class Placeholder(str):
     """A placeholder for a part of the subject's name."""
 
-    NAME = "{name}"
-    NAMESPACE = "{namespace}"
+    __slots__ = ()
+
+
+NAME, NAMESPACE = PLACEHOLDERS = Placeholder("{name}"), Placeholder("{namespace}")
 
 
 class TunableReference(Data):
@@ -42,7 +43,6 @@ MOST_VALUES = 10_000
 MOST_CHARACTERS = 4096
 """The most characters of an expression."""
 
-_NAME, _NAMESPACE = Placeholder.NAME, Placeholder.NAMESPACE
 _PLAIN = lazy_regex(r"[^*?\[\\{}@\s]+")
 _REFERENCE = lazy_regex(r"@\{([^{}]*)\}")
 _BRACES = lazy_regex(r"\{[^{}]*\}?|\}")
@@ -74,13 +74,13 @@ def parse(text: str) -> tuple[Piece | TunableReference, ...]:
         if plain := _PLAIN.match(text, at):
             _add(pieces, plain[0])
             at = plain.end()
-        elif placeholder := next((each for each in Placeholder if text.startswith(each, at)), None):
+        elif placeholder := next((each for each in PLACEHOLDERS if text.startswith(each, at)), None):
             pieces.append(placeholder)
             at += len(placeholder)
         elif braces := _BRACES.match(text, at):
             near = "{namespace}" if braces[0] == "{ns}" else braces[0]
             message = f"{quote(braces[0])} is unknown, expected {{name}}, {{namespace}} or @{{TUNABLE}}"
-            help_ = did_you_mean(near, Placeholder, "for the character itself write \\{ or \\}")
+            help_ = did_you_mean(near, PLACEHOLDERS, "for the character itself write \\{ or \\}")
             raise ComArmorError(message, help=help_, code="brace")
         elif reference := _REFERENCE.match(text, at):
             pieces.append(TunableReference(reference[1]))
@@ -153,7 +153,7 @@ def for_parts(value: Value, namespace: str, name: str) -> str:
         namespace: expression that begins and ends with ``/``.
         name: expression of the last segment.
     """
-    texts = [name if p is _NAME else namespace if p is _NAMESPACE else p for p in value]
+    texts = [p if type(p) is str else name if p == NAME else namespace for p in value]
     plain = "".join(texts)
     if "//" not in plain:
         return plain

@@ -12,7 +12,7 @@ from keymint_comarmor.loaded import ComArmorPolicy
 
 import comarmor
 from comarmor.language import attachments
-from comarmor.language.attachments import Placeholder, TunableReference
+from comarmor.language.attachments import PLACEHOLDERS, TunableReference
 from comarmor.language.loading import load_included
 from comarmor.language.syntax import Attachment, Inclusion, Profile, ProfileRule, expected_of_subject
 from comarmor.patterns.expression import literal
@@ -153,7 +153,7 @@ class _PolicyMaker(Data, frozen=False):
         if len(value) != len(pieces):
             raise KeymintError(
                 f"the {column} cannot contain a tunable: {quote(text)}", where=where,
-                help=f"a table has none; write a row for each value, or {' or '.join(Placeholder)}", code="brace",
+                help=f"a table has none; write a row for each value, or {' or '.join(PLACEHOLDERS)}", code="brace",
             )  # fmt: skip
         return Attachment.of(value, where)
 

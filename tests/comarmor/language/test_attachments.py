@@ -14,7 +14,8 @@ from comarmor.language import attachments
 from comarmor.language.attachments import (
     MOST_CHARACTERS,
     MOST_VALUES,
-    Placeholder,
+    NAME,
+    NAMESPACE,
     TunableReference,
     expand,
     for_parts,
@@ -99,7 +100,7 @@ def test_text_of_a_name_survives_the_notation(text: str) -> None:
     [
         ("", ()),
         ("/a*[^]b]", ("/a*[!\\]b]",)),
-        ("a{name}b{namespace}@{T}", ("a", Placeholder.NAME, "b", Placeholder.NAMESPACE, TunableReference("T"))),
+        ("a{name}b{namespace}@{T}", ("a", NAME, "b", NAMESPACE, TunableReference("T"))),
         ("\\@{T}", None),
         ("a@b", ("a@b",)),
         ("\\{name\\}", ("\\{name\\}",)),
@@ -128,7 +129,7 @@ def test_white_space_around_an_attachment_is_dropped_unless_it_is_escaped(writte
     assert attachments.strip(written) == kept
 
 
-VALUES = {"A": (("x",), ("/y/",)), "E": ((),), "N": ((Placeholder.NAME,), ("/",))}
+VALUES = {"A": (("x",), ("/y/",)), "E": ((),), "N": ((NAME,), ("/",))}
 PIECES = st.lists(st.sampled_from(["a", "/", "b/", "/c", *map(TunableReference, VALUES)]), max_size=5).map(tuple)
 
 
@@ -163,12 +164,12 @@ SUBJECTS = st.lists(st.text("ab*[]?\\{}", min_size=1, max_size=3), min_size=1, m
 
 @given(SUBJECTS)
 def test_namespace_and_name_match_the_subject_itself_and_nothing_else(subject) -> None:
-    value = (Placeholder.NAMESPACE, Placeholder.NAME)
+    value = (NAMESPACE, NAME)
     assert expression.literal(for_parts(value, *parts(subject))) == subject
     head, _, name = subject.rpartition("/")
     assert for_parts(value, escape(f"{head}/"), escape(name)) == for_parts(value, *parts(subject))
 
 
 def test_parts_of_a_name_may_be_expressions() -> None:
-    assert for_parts((Placeholder.NAMESPACE, "/x_", Placeholder.NAME), "/*/", "[ab]") == "/*/x_[ab]"
+    assert for_parts((NAMESPACE, "/x_", NAME), "/*/", "[ab]") == "/*/x_[ab]"
     assert for_parts((), "/*/", "a") == ""

@@ -7,20 +7,20 @@ import pytest
 
 from comarmor import Attachment, Decision, Effect, Origin, ProfileRule, Rule
 from comarmor.errors import Reason
-from comarmor.language.attachments import Placeholder
+from comarmor.language.attachments import NAMESPACE
 
 HERE, THERE = Origin("policy.xml", 1), Origin("policy.xml", 2)
 
 
 def test_an_attachment_is_expanded_for_the_subject_only_if_it_depends_on_it() -> None:
-    own = Attachment.of((Placeholder.NAMESPACE, "x"), HERE)
+    own = Attachment.of((NAMESPACE, "x"), HERE)
     assert (own.text, own.for_parts("/r/", "a"), own.for_parts("/", "b")) == ("{namespace}x", "/r/x", "/x")
     escaped = Attachment.of(("/\\{name\\}",), HERE)
     assert escaped.for_parts("/r/", "a") == escaped.text == "/\\{name\\}"
 
 
 def test_a_rule_of_a_profile_keeps_everything_but_repeated_expressions() -> None:
-    attachments = (Attachment.of(("/x",), HERE), Attachment.of((Placeholder.NAMESPACE, "x"), HERE))
+    attachments = (Attachment.of(("/x",), HERE), Attachment.of((NAMESPACE, "x"), HERE))
     written = ProfileRule(Effect.DENY, "topic", ("publish",), attachments, ("p",), True, THERE)
     expanded = written.with_expressions(attachment.for_parts("/", "a") for attachment in attachments)
     assert expanded == Rule(Effect.DENY, "topic", ("publish",), ("/x",), ("p",), True, THERE)
