@@ -17,7 +17,7 @@ from keymint.api import Bootstrap, FoundEnclave, FoundKeystore, ImportRequest, K
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import DEFAULT_DISTRO, PolicyOptions, distro_option, library_option
 from keymint.command_line.verb import PATH, Report, Run, argument, findings_exit, flag, option, verb
-from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin, Severity
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity
 from keymint.examine.adopted_documents import policy_finding, unclear_rights
 from keymint.examine.nodes import NODE_NOTES, node_notes, of_documents
 from keymint.stages.create import policy_path
@@ -129,9 +129,8 @@ def _refuse(run: Run, files: KeystoreFiles, found: FoundKeystore, workspace: Wor
     Raises:
         KeymintError: something is in the way; with all of it.
     """
-    errors = [each for each in found.diagnostics if each.severity is Severity.ERROR]
-    if errors:
-        raise KeymintError.of(found.diagnostics, ExitCode.FAILURE)
+    if any(each.severity is Severity.ERROR for each in found.diagnostics):
+        raise KeymintError.of(found.diagnostics)
     if workspace.exists():
         raise KeymintError(
             "there is a workspace already", where=workspace.origin(workspace.profile),
