@@ -92,22 +92,16 @@ def installed_scopes(
     loaded = {name: session.package(name) for name in sorted(names)}
     chosen = {name: package for name, package in loaded.items() if package.role is Role.SUBJECT}
     if loaded and not chosen:
-        raise KeymintError(
-            f"{' and '.join(loaded)} has no rights to verify: it belongs to the infrastructure of a transport",
-            help="name a package of a subject",
-            code="packages-none",
-        )
+        message = f"{' and '.join(loaded)} has no rights to verify: it belongs to the infrastructure of a transport"
+        raise KeymintError(message, help="name a package of a subject", code="packages-none")
     if not chosen:
         raise KeymintError("there is no package to verify", help="run 'keymint create --all'", code="packages-none")
     there = set(enclave_names(session))
     missing = [name for name in names if name in chosen and name not in there]
     if missing:
         shown = ", ".join(subject_of(name) for name in missing[:5]) + (" …" if len(missing) > 5 else "")  # noqa: PLR2004
-        raise KeymintError(
-            f"no enclave of {shown} is installed",
-            help="run 'keymint build' and 'keymint install'",
-            code="enclave-missing",
-        )
+        help_ = "run 'keymint build' and 'keymint install'"
+        raise KeymintError(f"no enclave of {shown} is installed", help=help_, code="enclave-missing")
     packages = {package.subject: package for package in chosen.values()}
     install = session.workspace.install
     enclaves = {
