@@ -183,8 +183,8 @@ def period(certificate: x509.Certificate) -> tuple[datetime, datetime]:
 
 def is_issued_by(certificate: x509.Certificate, issuer: x509.Certificate) -> bool:
     """Return whether a certificate names an issuer and has the signature of its key (RFC 5280, 6.1.3 and 4.1.1.2)."""
-    key, digest = issuer.public_key(), certificate.signature_hash_algorithm
     try:
+        key, digest = issuer.public_key(), certificate.signature_hash_algorithm
         if isinstance(key, keys.PublicKey) and isinstance(digest, certificate_forms.Hash):
             expected = certificate_forms.signature_algorithm(key, digest)
             body, algorithm, _ = der.elements(der.single(der.der_of(certificate), der.SEQUENCE))

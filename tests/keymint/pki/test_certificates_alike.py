@@ -198,6 +198,15 @@ def test_an_issuer_must_have_the_name_and_the_key(authority: certificates.Issuer
     assert not certificates.is_issued_by(authority.certificate, certificate)
 
 
+def test_an_issuer_whose_key_is_no_point_issued_nothing(authority: certificates.Issuer) -> None:
+    certificate = certificates.issue(make_spec("CN=/a"), public(), authority, authority=False).certificate
+    content, key = der.der_of(authority.certificate), keys.public_der(authority.key.public_key())
+    damaged = x509.load_der_x509_certificate(content.replace(key, key[:-1] + bytes((key[-1] ^ 1,))))
+    with pytest.raises(ValueError, match="Invalid key"):
+        damaged.public_key()
+    assert not certificates.is_issued_by(certificate, damaged)
+
+
 @pytest.mark.parametrize("kind", [P256, KINDS[-1]], ids=str)
 def test_each_altered_byte_of_one_alike_is_found(kind: KeySpec) -> None:
     issuer, key = new_authority(kind), public()
