@@ -39,10 +39,10 @@ class Forked:
         OSError: the system has no room for another process, as in a container with few.
     """
 
-    def __init__(self, work: Callable[[int, BinaryIO], object], others: Iterable[Forked] = ()) -> None:
-        told, self._told = os.pipe()
+    def __init__(self, work: Callable[[BinaryIO, BinaryIO], object], others: Iterable[Forked] = ()) -> None:
+        told, tell = os.pipe()
         answers, sent = os.pipe()
-        self._answers = os.fdopen(answers, "rb")
+        self._told, self._answers = os.fdopen(tell, "wb"), os.fdopen(answers, "rb")
         with held_signals():  # the process keeps them blocked
             try:
                 self.pid = os.fork()
@@ -56,27 +56,20 @@ class Forked:
                     gc.freeze()  # a search for cycles among the parent's objects would copy their pages
                     for each in (self, *others):
                         each._close()  # noqa: SLF001
-                    work(told, os.fdopen(sent, "wb"))
+                    work(os.fdopen(told, "rb"), os.fdopen(sent, "wb"))
                 finally:
                     os._exit(0)
         os.close(told)
         os.close(sent)
 
-    def tell(self) -> None:
-        """Let the process go on that waits for it."""
+    def tell(self, value: object) -> None:
+        """Send a value to the process, which waits for it."""
         with contextlib.suppress(OSError):  # it ended, which its missing answer tells
-            os.write(self._told, b"!")
+            send(self._told, _dumps(value))
 
     def receive(self) -> Any:
-        """Return the next answer.
-
-        Raises:
-            EOFError: the process ended.
-        """
-        size = int.from_bytes(self._answers.read(_SIZE))
-        if not size or len(answer := self._answers.read(size)) < size:
-            raise EOFError
-        return _loads(answer)
+        """Return the next answer; raises as :func:`receive`."""
+        return receive(self._answers)
 
     def end(self) -> None:
         """End the process, whatever it does."""
@@ -86,15 +79,28 @@ class Forked:
             os.waitpid(self.pid, 0)
 
     def _close(self) -> None:
-        os.close(self._told)
+        with contextlib.suppress(OSError):  # the process ended before it read all
+            self._told.close()
         self._answers.close()
 
 
-def send(pipe: BinaryIO, answer: bytes) -> None:
-    """Send what was pickled to the process that :meth:`Forked.receive` is called in."""
-    pipe.write(len(answer).to_bytes(_SIZE))
-    pipe.write(answer)
+def send(pipe: BinaryIO, pickled: bytes) -> None:
+    """Send what was pickled to the process that calls :func:`receive`."""
+    pipe.write(len(pickled).to_bytes(_SIZE))
+    pipe.write(pickled)
     pipe.flush()
+
+
+def receive(pipe: BinaryIO) -> Any:
+    """Return the next value that was sent.
+
+    Raises:
+        EOFError: the other process ended.
+    """
+    size = int.from_bytes(pipe.read(_SIZE))
+    if not size or len(pickled := pipe.read(size)) < size:
+        raise EOFError
+    return _loads(pickled)
 
 
 class Pool:
@@ -170,7 +176,7 @@ def _results(work: Callable[[Any], Any], tasks: Sequence[Any], left: int, first:
     return found
 
 
-def _answer(work: Callable[[Any], Any], tasks: Sequence[Any], left: int, _: int, pipe: BinaryIO) -> None:
+def _answer(work: Callable[[Any], Any], tasks: Sequence[Any], left: int, _: BinaryIO, pipe: BinaryIO) -> None:
     """Carry out tasks in a process of its own."""
     send(pipe, _dumps(_results(work, tasks, left)))
 

@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 
 # A run in one process needs none of these.
 _dumps, _loads, _queue = lazy("pickle:dumps"), lazy("pickle:loads"), lazy("queue:SimpleQueue")
-_fork, _send = lazy("keymint.host.pool:Forked"), lazy("keymint.host.pool:send")
+_fork, _send, _receive = (lazy(f"keymint.host.pool:{name}") for name in ("Forked", "send", "receive"))
 
 MIN_PACKAGES = 64
 """Packages from which on processes are worth their start."""
@@ -144,7 +144,7 @@ class Workers(Crew):
         """
         self._have_staged = True
         for process in self._processes:
-            process.tell()
+            process.tell(store.common)
         by_process: list[list[Sequence[Exchange]]] = []
         errors: list[KeymintError] = []
         with _refusing(self._own.append):
@@ -260,7 +260,7 @@ def _answers(receive: Callable[[], Any]) -> Iterator[list[Any]]:
         yield answer[0]
 
 
-def _work(task: _Task, told: int, pipe: BinaryIO) -> None:
+def _work(task: _Task, told: BinaryIO, pipe: BinaryIO) -> None:
     """Plan packages and send the plans stage by stage; stage them when the parent says so.
 
     This runs in a process of its own. The system begins to write what all processes staged once this one has half of
@@ -288,9 +288,11 @@ def _work(task: _Task, told: int, pipe: BinaryIO) -> None:
         try:
             with _refusing(send):
                 changes = _planned_in_parts(answers.put, task)
-                if not os.read(told, 1):  # the parent ended
-                    return
                 store = open_store(task[0].workspace)
+                try:
+                    store.common.update(_receive(told))
+                except EOFError:  # the parent ended
+                    return
                 staged: list[list[Exchange]] = []
                 for of_stage in changes:
                     if of_stage is changes[len(changes) // 2]:
@@ -433,10 +435,9 @@ def execute(
     if guards or plan.writes() or plan.state != inputs.state:
         changing = {step.package for step in plan.steps if step.package and step.writes()}
         store.begin(replace(intent, packages=tuple(sorted(changing))))
-        store.change(guards)  # before the first secret is written
         # The record of a large fleet is made as it is written.
         record = FolderChange(folder, {RECORD: File(plan.state.pieces)})
-        staged = _staged(plan, (*log, record), store, workers)
+        staged = _staged(plan, guards, (*log, record), store, workers)
     visible = clock(folder)
     store.commit(staged)
     for step in plan.steps:
@@ -467,24 +468,29 @@ def require_register(plan: Plan, inputs: Inputs) -> None:
         )
 
 
-def _staged(plan: Plan, record: Iterable[FolderChange], store: Store, workers: Workers) -> Sequence[Exchange]:
+def _staged(
+    plan: Plan, guards: Sequence[FolderChange], record: Iterable[FolderChange], store: Store, workers: Workers
+) -> Sequence[Exchange]:
     """Stage a plan and its record. What other processes hold comes before what is removed."""
     folders = [str(change.folder) for change in plan.changes() if change.held]
     held = [*plan.held()]
     if not folders and not held:
+        store.change(guards)  # before the first secret is written
         return store.stage((*plan.changes(), *record))
     names = [each.name for each in held]
     around = {place for each in held for place, *_ in each.places}
-    store.make_common([*folders, *(f"{place}{end(names)}" for place in around for end in (min, max))])
+    places = (*folders, *(f"{place}{end(names)}" for place in around for end in (min, max)))
+    common = store.stage_common(places)
     _trim(len(held) // _WRITING)  # the register and the record of a large fleet take memory
     removals = Plan(tuple(step for step in plan.steps if step.action is Action.REMOVED), plan.state)
     others = replace(plan, steps=tuple(step for step in plan.steps if step.action is not Action.REMOVED))
     staged: list[Exchange] = []
     try:
-        staged += workers.stage(store, others.changes())
+        store.change(guards)
+        staged += (*workers.stage(store, others.changes()), *common)
         staged += store.stage((*removals.changes(), *record))
     except BaseException:
-        store.discard(staged)
+        store.discard((*staged, *common))
         raise
     return staged
 

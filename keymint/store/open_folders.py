@@ -8,7 +8,7 @@ import functools
 import itertools
 import os
 import stat
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from keymint.store.file_writing import FOLDER, check_component, make_folder, open_at, reported
@@ -28,8 +28,8 @@ class Roots:
         self.private = {str(root): roots[root] for root in sorted(roots, key=lambda each: -len(each.parts))}
         self.kept = frozenset((*self.private, str(records)))
         """The folders that are kept even if they are empty, and never replaced: they may be mount points."""
-        self.common: set[str] = set()
-        """Folders that are new, and in which several processes stage: none of these replaces them."""
+        self.common: dict[str, str] = {}
+        """New folders in which several processes stage, each with the name that it has until the commit."""
         self.created: set[str] = set()
         """The roots that were created and whose names are not synchronised yet."""
         self.certain: set[str] = set()
@@ -48,6 +48,16 @@ class Roots:
             if text.startswith(prefix) and "/../" not in text:
                 return root
         raise file_error(path, "confined", "is outside the workspace")
+
+    def upward(self, path: str) -> Iterator[str]:
+        """Yield a folder, and those around it that may be staged: also its root, if that is in another one."""
+        root = self.of(path)
+        while path != root:
+            yield path
+            path = os.path.dirname(path)
+        above = os.path.dirname(root)
+        if not self.private[root] and f"{above}/".startswith(tuple(self._prefixes)):
+            yield root
 
 
 class OpenFolders(contextlib.AbstractContextManager["OpenFolders"]):

@@ -128,8 +128,10 @@ class Staging:
         with OpenFolders(self._roots) as folders:
             try:
                 for root, tree in self._trees.items():
+                    if root in self._roots.common:
+                        self._fill(folders.open(os.path.dirname(root)), root, tree)
                     # What is only removed creates no root.
-                    if tree.writes() or os.path.lexists(root):
+                    elif tree.writes() or os.path.lexists(root):
                         self._inside(folders.open(root), root, tree)
                 for order, folder, change, private in self._kept:
                     if change.files or os.path.lexists(folder):
@@ -152,11 +154,11 @@ class Staging:
         root = self._roots.of(folder)
         closed = self._roots.private[root]
         private = closed or change.private or any(file.secret for file in change.files.values())
-        if folder in self._roots.kept or folder in self._roots.common:
+        if folder in self._roots.kept and folder not in self._roots.common:
             self._kept.append((order, folder, change, private))
             return
         content = self._trees.setdefault(root, FolderContent())
-        for part in folder[len(root) + 1 :].split("/"):
+        for part in folder[len(root) + 1 :].split("/") if folder != root else ():
             inner = content.folders.get(part)
             if inner is None:
                 file_writing.check_component(part, folder)
@@ -175,18 +177,21 @@ class Staging:
     def _inside(self, opened: int, shown: str, content: FolderContent) -> None:
         """Stage the changes in the subfolders of an existing folder that is not replaced."""
         for name, inner in content.folders.items():
+            place = f"{shown}/{name}"
+            if place in self._roots.common:
+                self._fill(opened, place, inner)
+                continue
             try:
                 old = os.open(name, FOLDER, dir_fd=opened)
             except FileNotFoundError:
                 if written := inner.size():
-                    place = f"{shown}/{name}"
                     with self._staging(opened, Exchange(inner.order, shown, name, temporary(), size=written)) as staged:
                         self._create(opened, staged, place, inner)
                     if inner.files:  # it gets another time with its name
                         self._seen.pop(place, None)
                 continue
             except OSError as error:
-                file_writing.refuse(f"{shown}/{name}", error)
+                file_writing.refuse(place, error)
             try:
                 self._existing(opened, shown, name, old, inner)
             finally:
@@ -301,6 +306,20 @@ class Staging:
                 _link(old, new, f"{shown}/{name}", name)
                 carried[name] = entry.inode()
         return carried
+
+    def _fill(self, parent: int, shown: str, content: FolderContent) -> None:
+        """Stage what is inside a new folder in which other processes stage, too; arguments as for :meth:`_create`."""
+        with reported(shown), open_at(self._roots.common[shown], parent) as opened:
+            if content.private:
+                close_to_others(opened)
+            for name, file in content.files.items():
+                file_writing.create(opened, shown, name, file)
+            for name, inner in content.folders.items():
+                place = f"{shown}/{name}"
+                if place in self._roots.common:
+                    self._fill(opened, place, inner)
+                elif inner.writes():
+                    self._create(opened, name, place, inner)
 
     def _create(self, parent: int, name: str, shown: str, content: FolderContent) -> None:
         """Create a new folder.

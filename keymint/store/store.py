@@ -4,8 +4,8 @@
 * Every path is walked from one of the store's roots without following a link, so nothing is written elsewhere.
 * Changes are staged under temporary names, and committed together: nothing is visible before all of it is written and
   synchronised. See :mod:`keymint.store.staged` and :mod:`keymint.store.group_commit`.
-* A new folder appears complete, but for one around what several processes stage. A folder in which several files
-  change is swapped in one step; see :mod:`keymint.store.staged` and :mod:`keymint.store.file_writing`.
+* A new folder appears complete. A folder in which several files change is swapped in one step; see
+  :mod:`keymint.store.staged` and :mod:`keymint.store.file_writing`.
 * A secret is 0600 from its first byte and its folder 0700, whatever the umask.
 * What a killed run made visible in part, the next run finishes; the rest of it is removed. See
   :mod:`keymint.store.journal`.
@@ -26,7 +26,7 @@ from time import sleep  # waits, and does not tell the time
 from comarmor.values import replace
 from keymint.store import journal
 from keymint.store.changes import File, FolderChange
-from keymint.store.file_writing import FILE, reported
+from keymint.store.file_writing import FEW, FILE, reported, temporary
 from keymint.store.group_commit import commit, make_visible
 from keymint.store.journal import Journal
 from keymint.store.open_folders import OpenFolders, Roots
@@ -140,6 +140,8 @@ class Store:
 
     def __init__(self, roots: Mapping[Path, bool], records: Path) -> None:
         self._roots = Roots(roots, records)
+        self.common = self._roots.common
+        """The new folders in which several processes stage, each with the name that it has until the commit."""
         self._records = records
         self._mark = records / journal.MARK
         self._locks = contextlib.ExitStack()
@@ -266,22 +268,39 @@ class Store:
         """
         return Staging(self._roots, self.seen).stage(changes)
 
-    def make_common(self, folders: Iterable[str]) -> None:
-        """Create the folders around folders in which several processes will stage: else each stages these as new ones.
+    def stage_common(self, folders: Iterable[str]) -> tuple[Exchange, ...]:
+        """Stage the new folders around folders in which several processes will stage: what they stage is inside.
+
+        Args:
+            folders: the first and last folders at least, in order, of those in which the processes stage.
+
+        Returns:
+            As :meth:`stage`. :attr:`common` tells the stores of the other processes where they stage.
 
         Raises:
-            KeymintError: a path is not below a root, a symbolic link is in the way, or the system refuses.
+            KeymintError: a path is not below a root, a symbolic link is in the way, or the system refuses. Nothing is
+                staged then.
         """
         by_root: dict[str, set[str]] = {}
         for folder in folders:
             by_root.setdefault(self._roots.of(folder), set()).add(folder)
-        with OpenFolders(self._roots) as opened:
-            for places in by_root.values():
-                if len(places) > 1:
-                    common = os.path.commonpath(places)
-                    if not os.path.lexists(common):
-                        self._roots.common.add(common)
-                    opened.open(common)
+        exchanges: list[Exchange] = []
+        try:
+            with OpenFolders(self._roots) as opened:
+                for root, places in by_root.items():
+                    inner = os.path.commonpath(places) if len(places) > 1 else root
+                    new = [each for each in self._roots.upward(inner) if not os.path.lexists(each)]
+                    if not new:
+                        continue
+                    around, name = os.path.split(outer := new[-1])
+                    # Its files are not counted: processes are used for more than a few.
+                    exchanges.append(Exchange(0, around, name, staged := temporary(), size=FEW + 1))
+                    opened.open(f"{around}/{staged}{inner.removeprefix(outer)}")
+                    self.common.update({each: os.path.basename(each) for each in new} | {outer: staged})
+        except BaseException:
+            self.discard(exchanges)
+            raise
+        return tuple(exchanges)
 
     def commit(self, staged: Sequence[Exchange]) -> None:
         """Make staged changes visible and durable, in order; see :mod:`keymint.store.group_commit`.
@@ -294,6 +313,7 @@ class Store:
         begun = self._journal
         record = None if begun is None else lambda names: self._record(replace(begun, exchanges=names))
         commit(self._roots, staged, record)
+        self.common.clear()
 
     def discard(self, staged: Iterable[Exchange]) -> None:
         """Remove what was staged."""

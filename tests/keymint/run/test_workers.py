@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -233,6 +234,38 @@ def test_what_the_system_cannot_write_while_more_is_staged(keymint: Keymint, tmp
     assert not [path for path in found if ".keymint-" not in str(path)]
     assert keymint("provision", source, "-w", "ws", "-j", 1).code == 0
     assert keymint("check", "-w", "ws").code == 0
+
+
+SEEN_BY_GIT = """
+import subprocess, sys
+from pathlib import Path
+from keymint.run import execution
+from keymint.cli import main
+from keymint.run.execution import Workers
+execution.MIN_PACKAGES, execution.MOST_PACKAGES = 10, 4
+stage = Workers.stage
+def staged(self, store, changes):
+    assert len([*Path("ws").rglob("enclaves")]) == 1 and not [*Path("ws").rglob("key.pem")]
+    first = next(Path("ws").rglob("enclaves")).parent
+    assert (first / ".gitignore").is_file(), "before the first secret"
+    done = stage(self, store, changes)
+    assert len([*Path("ws").rglob("key.pem")]) == 40
+    subprocess.run(["git", "add", "-A"], check=True)
+    return done
+Workers.stage = staged
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.skipif(shutil.which("git") is None, reason="no git")
+def test_git_takes_no_key_that_processes_staged(tmp_path: Path) -> None:
+    source = policy(tmp_path / "policy.xml")
+    subprocess.run(["git", "init", "-q"], cwd=tmp_path, check=True)
+    done = run(tmp_path, "provision", source, "-w", "ws", "-j", 2, program=SEEN_BY_GIT)
+    assert done.code == 0, done.err
+    added = subprocess.run(["git", "ls-files"], cwd=tmp_path, check=True, capture_output=True, text=True).stdout
+    assert "policy.xml" in added
+    assert "key.pem" not in added
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import errno
 import multiprocessing
 import os
 import pickle
+import stat
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -120,18 +121,50 @@ def test_what_another_process_staged_inside_a_replaced_folder_moves_along(
     assert {(top / name).read_bytes() for name in new} == {b"new"}
 
 
-def test_a_folder_that_was_made_for_several_processes_is_not_replaced(root: Path, store: Store) -> None:
-    top = root / "install" / "enclaves"
-    shared = FolderChange(top, {"g.xml": PUBLIC, "g.p7s": PUBLIC})
-    store.make_common(str(top / name) for name in ("robot", "other"))
-    made = top.stat().st_ino
-    staged = (*store.stage([shared, *changes(root, "robot")]), *store.stage(changes(root, "other")))
-    assert not any(each.replaces for each in staged)
+@pytest.mark.parametrize(
+    ("space", "there", "named"),
+    [("install", False, "install"), ("install", True, "install/enclaves"), ("private", False, "private/enclaves")],
+)
+def test_a_new_folder_in_which_several_processes_stage_appears_complete(
+    root: Path, store: Store, space: str, there: bool, named: str
+) -> None:
+    top = root / space / "enclaves" / "site"
+    if there:
+        (root / space).mkdir(parents=True)
+    both = [FolderChange(top / name, ENCLAVE) for name in ("robot", "other")]
+    own = [FolderChange(top, {"g.xml": PUBLIC, "key.pem": SECRET}), FolderChange(root / space, {".gitignore": PUBLIC})]
+    common = store.stage_common(str(each.folder) for each in both)
+    assert [f"{each.folder}/{each.name}" for each in common] == [f"{root}/{named}"]
+    other = Store({root: False, root / "install": False, root / "private": True}, root / ".keymint")
+    other.common.update(store.common)
+    staged = (*store.stage([*own, both[0]]), *other.stage(both[1:]))
+    assert [each.name for each in staged] == ([] if named == space else [".gitignore"])
     assert files(root) == set()
-    store.commit(staged)
-    enclaves = {f"install/enclaves/{name}/{file}" for name in ("robot", "other") for file in ENCLAVE}
-    assert files(root, temporary=True) == {*enclaves, "install/enclaves/g.xml", "install/enclaves/g.p7s"}
-    assert top.stat().st_ino == made
+    store.commit((*staged, *common))
+    enclaves = {f"{space}/enclaves/site/{name}/{file}" for name in ("robot", "other") for file in ENCLAVE}
+    beside = {f"{space}/.gitignore", *(f"{space}/enclaves/site/{name}" for name in own[0].files)}
+    assert files(root, temporary=True) == enclaves | beside
+    assert stat.S_IMODE(top.stat().st_mode) == 0o700
+    assert stat.S_IMODE(top.parent.stat().st_mode) == (0o700 if space == "private" else 0o755)
+    store.change([FolderChange(top / "robot", {"cert.pem": File(b"new")})])  # it is a folder like any other now
+    assert (top / "robot" / "cert.pem").read_bytes() == b"new"
+
+
+def test_nothing_is_left_of_a_new_folder_in_which_several_processes_staged(root: Path, store: Store) -> None:
+    places = [str(root / "install" / "enclaves" / name) for name in ("robot", "other")]
+    store.discard((*store.stage_common(places), *store.stage(changes(root, "robot"))))
+    assert list(root.iterdir()) == []
+
+
+def test_nothing_is_left_if_a_new_folder_for_several_processes_is_refused(root: Path, store: Store) -> None:
+    (root / "build").mkdir(parents=True)
+    (root / "build" / "a").symlink_to(root)
+    places = [
+        f"{root}/{name}" for name in ("install/enclaves/robot", "install/enclaves/other", "build/a/b/c", "build/a/b/d")
+    ]
+    with pytest.raises(KeymintError):
+        store.stage_common(places)
+    assert {each.name for each in root.iterdir()} == {"build"}
 
 
 def test_files_of_a_folder_are_removed_while_another_process_changes_what_is_inside(root: Path, store: Store) -> None:
