@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The floor: the least work that provisions N enclaves, with bare ``cryptography`` calls.
 
-A key, a certificate, one S/MIME signature and six files per enclave; no policy, no validation, no safe writing.
+A key, a certificate, one S/MIME signature and six files per enclave; no policy, no validation, no safe writing. And the
+least work that puts the files of a workspace on a disk.
 """
 
 from __future__ import annotations
 
+import os
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -75,3 +78,27 @@ def provision(folder: Path, names: list[str], permissions: bytes) -> None:
         enclave.mkdir(parents=True)
         for file, content in files.items():
             (enclave / file).write_bytes(content)
+
+
+def content(folder: Path) -> Sequence[tuple[str, Mapping[str, bytes]]]:
+    """Return the folders below one that have files, each with these."""
+    below = sorted((path.relative_to(folder).as_posix(), path) for path in folder.rglob("*") if path.is_dir())
+    found = [
+        (name, {file.name: file.read_bytes() for file in path.iterdir() if file.is_file()}) for name, path in below
+    ]
+    return [(name, files) for name, files in found if files]
+
+
+def write(folder: Path, folders: Sequence[tuple[str, Mapping[str, bytes]]]) -> None:
+    """Write folders and files below a new folder by two processes, each a half, and synchronise them once."""
+    half = len(folders) // 2
+    other = os.fork()
+    for name, files in folders[:half] if other else folders[half:]:
+        place = folder / name
+        place.mkdir(parents=True, exist_ok=True)
+        for file, text in files.items():
+            (place / file).write_bytes(text)
+    if not other:
+        os._exit(0)
+    os.waitpid(other, 0)
+    os.sync()
