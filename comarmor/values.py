@@ -208,12 +208,15 @@ def _first_init(cls: Any) -> Callable[..., None]:
         left -= 1
         values: Iterable[tuple[str, Any]]
         if is_sound := is_simple and not named and least <= len(arguments) <= len(parameters):  # most calls
-            values = zip(parameters, arguments + last[len(arguments) - least :], strict=True)
+            values = zip(parameters, arguments + last[len(arguments) - least :])  # noqa: B905 - slower, and as many
         else:
-            given = dict(zip(parameters, arguments, strict=False), **named)
-            made = {name: new() for name, new in factories.items() if name not in given}
-            values = (every := defaults | made | given).items()
+            given = dict(zip(parameters, arguments, strict=False), **named) if arguments else named
+            every = defaults | given
+            for name, new in factories.items():
+                if name not in given:
+                    every[name] = new()
             is_sound = len(given) == len(arguments) + len(named) and given.keys() <= known and every.keys() == all_names
+            values = every.items()
         if left < 0 or not is_sound:  # the generated method says what is wrong
             cls.__init__ = _init(cls)
             cls.__init__(self, *arguments, **named)
