@@ -15,12 +15,12 @@ from contextlib import suppress
 
 from cryptography import x509
 
-from keymint.authority.authority_files import AuthorityFiles, in_order, new_authority_help, read_files, stored_key
+from keymint.authority.authority_files import AuthorityFiles, in_order, new_authority_help, read_files
 from keymint.errors import Defects, Diagnostic, KeymintError, Origin
 from keymint.pki import certificates, distinguished_names, keys
 from keymint.workspace.package_build_types import is_build_current, issuers_of
 from keymint.workspace.session import Session, once
-from keymint.workspace.stored_keys import AUTHORITY_KEYS, recorded_key
+from keymint.workspace.stored_keys import AUTHORITY_KEYS, password, recorded_key
 
 DECIDED_BY_A_PERSON = frozenset(
     {
@@ -166,10 +166,9 @@ def contradictions(session: Session) -> Mapping[str, tuple[Diagnostic, ...]]:
     for authority in in_order(session.profile.authorities):
         files = read_files(session, authority, deployed=False)
         key: keys.PublicKey | None = None
-        if not authority.certificate.key.uri:
+        if files.key is not None and not authority.certificate.key.uri:
             with suppress(KeymintError):  # a private key that cannot be read is no evidence
-                stored = stored_key(session, authority, files.name)
-                key = stored[1].public_key() if stored else None
+                key = keys.public_of(files.key, password(session, authority.certificate))
         own = () if files.content is None else certificate_contradictions(files, key)
         if all_ := (*own, *by_authority.get(authority.certificate.issuer, ())):
             by_authority[authority.name] = all_
