@@ -84,11 +84,11 @@ class Inputs(Data):
 
     def profile_marker(self) -> Origin:
         """Return the location of the profile's main document, for messages."""
-        return self.workspace.origin(self.workspace.profile / PROFILE_MARKER)
+        return self.workspace.origin(f"{self.workspace.profile}/{PROFILE_MARKER}")
 
     def package_marker(self, name: str) -> Origin:
         """Return the location of a package's manifest, for messages."""
-        return self.workspace.origin(self.workspace.src / name / PACKAGE_MARKER)
+        return self.workspace.origin(f"{self.workspace.src}/{name}/{PACKAGE_MARKER}")
 
     def session(self) -> Session:
         """Load the workspace's profile.

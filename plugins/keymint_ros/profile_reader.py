@@ -188,7 +188,7 @@ def with_distro(profile: WorkspaceProfile, distro: str) -> WorkspaceProfile:
 def _document(root: Path, files: Mapping[str, bytes], path: _PathElement) -> tuple[bytes, str]:
     """Return the content of a document that the manifest names, and its path as the user would type it."""
     name, at = path
-    return file_in(files, name, Origin(str(root / MANIFEST), at), "profile"), str(root / name)
+    return file_in(files, name, Origin(f"{root}/{MANIFEST}", at), "profile"), str(root / name)
 
 
 def _check_hierarchy(authorities: Mapping[str, Authority], issuers: Mapping[str, Origin]) -> None:
