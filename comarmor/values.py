@@ -181,7 +181,7 @@ def _given(cls: type) -> tuple[list[str], dict[str, Any], dict[str, Callable[[],
     defaults: dict[str, Any] = {}
     factories: dict[str, Callable[[], Any]] = {}
     for name, (_, each) in _declared(cls).items():
-        is_described = isinstance(each, _Described)
+        is_described = type(each) is _Described
         if not is_described or each.init:
             parameters.append(name)
         if is_described and each.default_factory is not _MISSING:
@@ -197,8 +197,7 @@ def _first_init(cls: Any) -> Callable[..., None]:
     A run makes few objects of most classes, and generating a method costs as much as fifty of them.
     """
     parameters, defaults, factories = _given(cls)
-    known = frozenset(parameters)
-    all_names = known | defaults.keys() | factories.keys()
+    known, every_field = frozenset(parameters), len({*parameters, *defaults, *factories})
     least, last = len(parameters) - len(defaults), tuple(defaults.values())
     is_simple = not factories and parameters[least:] == list(defaults)
     assign, has_post_init, left = object.__setattr__, hasattr(cls, "__post_init__"), _FEW
@@ -215,7 +214,7 @@ def _first_init(cls: Any) -> Callable[..., None]:
             for name, new in factories.items():
                 if name not in given:
                     every[name] = new()
-            is_sound = len(given) == len(arguments) + len(named) and given.keys() <= known and every.keys() == all_names
+            is_sound = len(given) == len(arguments) + len(named) and given.keys() <= known and len(every) == every_field
             values = every.items()
         if left < 0 or not is_sound:  # the generated method says what is wrong
             cls.__init__ = _init(cls)
