@@ -5,8 +5,9 @@ usage: python benchmarks/fleet.py [--rows alike,own,...] [--large 10000] [--disk
 
 A row compares whole processes with the *floor* of 1,000 enclaves (:mod:`floor`: a key, a certificate, one S/MIME
 signature by the library and six files), measured before and after it. Everything is on tmpfs, except ``disk``. The best
-repeat counts; folders are removed at the end only, since a file system is slow after a large removal. For ext4 that is
-some minutes, in which new files take up to five times as long: measure ``disk`` once, where little was removed lately.
+repeat counts; folders are removed at the end only, since a file system is slow after a large removal. ext4 without a
+journal looks past the inodes of what was removed in the last five minutes (``recently_deleted`` in ``fs/ext4/ialloc.c``
+of Linux), so new files take up to ten times as long: measure ``disk`` once, where nothing was removed lately.
 """
 
 from __future__ import annotations
