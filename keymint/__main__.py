@@ -8,12 +8,13 @@ import gc
 import os
 import sys
 
+gc.set_threshold(1_000_000, 20, 50)  # imports and a run create many objects, few of them in cycles
+
+from keymint.host import streams_and_signals  # noqa: E402 - creates many of them
+
 
 def run(arguments: list[str]) -> int:
     """Run the command line as the only task of this process, and return its exit code."""
-    gc.set_threshold(1_000_000, 20, 50)  # imports and a run create many objects, few of them in cycles
-    from keymint.host import streams_and_signals  # noqa: PLC0415 - creates many of them
-
     streams_and_signals.open_missing_streams()
     streams_and_signals.hold_signals()
     from keymint import cli  # noqa: PLC0415 - signals wait until the import is done

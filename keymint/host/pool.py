@@ -34,12 +34,13 @@ class Forked:
     Args:
         work: what it does: it is given a pipe that :meth:`tell` writes to, and one to :func:`send` answers.
         others: processes that were forked before: it must not hold their pipes, or they would not see this one's end.
+            It is added to them before a signal can end the run: who ends them ends it as well.
 
     Raises:
         OSError: the system has no room for another process, as in a container with few.
     """
 
-    def __init__(self, work: Callable[[BinaryIO, BinaryIO], object], others: Iterable[Forked] = ()) -> None:
+    def __init__(self, work: Callable[[BinaryIO, BinaryIO], object], others: list[Forked]) -> None:
         told, tell = os.pipe()
         answers, sent = os.pipe()
         self._told, self._answers = os.fdopen(tell, "wb"), os.fdopen(answers, "rb")
@@ -59,8 +60,9 @@ class Forked:
                     work(os.fdopen(told, "rb"), os.fdopen(sent, "wb"))
                 finally:
                     os._exit(0)
-        os.close(told)
-        os.close(sent)
+            os.close(told)
+            os.close(sent)
+            others.append(self)
 
     def tell(self, value: object) -> None:
         """Send a value to the process, which waits for it."""
@@ -142,7 +144,7 @@ class Pool:
             with contextlib.suppress(OSError):  # then this process and those that are there do all
                 for _ in range(count - 1):
                     # A forked process has the tasks already: they need not be sent to it.
-                    others.append(Forked(partial(_answer, work, tasks, left), others))
+                    Forked(partial(_answer, work, tasks, left), others)
             found = _results(work, tasks, left, [len(tasks) - 1])
             for each in others:
                 found |= each.receive()

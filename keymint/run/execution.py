@@ -116,7 +116,7 @@ class Workers(Crew):
         _trim(len(names))  # the processes inherit what the parsed policy took and is free
         try:
             for part in parts[1:]:
-                self._processes.append(_fork(partial(_work, (session, part, stages, self.new)), self._processes))
+                _fork(partial(_work, (session, part, stages, self.new)), self._processes)
         except OSError:  # the system has no room for another process
             self.give_up()
             return

@@ -403,6 +403,31 @@ def test_an_interrupted_run_leaves_no_process_and_no_workspace(tmp_path: Path) -
     assert not (tmp_path / "ws").exists()
 
 
+SIGNALLED_WHILE_A_PROCESS_IS_FORKED = """
+import os, signal, sys
+from keymint.__main__ import main
+fork = os.fork
+def forked():
+    number = fork()
+    if number:
+        print(number, flush=True)
+        os.kill(os.getpid(), signal.SIGINT)
+    return number
+os.fork = forked
+sys.argv = ["keymint", *sys.argv[1:]]
+main()
+"""
+
+
+def test_a_signal_that_arrives_while_a_process_is_forked_ends_that_process_as_well(tmp_path: Path) -> None:
+    source = policy(tmp_path / "policy.xml", 400)
+    arguments = ("provision", source, "-w", "ws", "-j", 2)
+    ended = run(tmp_path, *arguments, program=SIGNALLED_WHILE_A_PROCESS_IS_FORKED)
+    assert (ended.code, ended.err.count("\n")) == (130, 1)
+    assert not Path(f"/proc/{ended.out.strip()}").exists()
+    assert not (tmp_path / "ws").exists()
+
+
 SIGNALLED_IN_A_FINALISER = """
 import os, signal, sys
 from keymint.stages import pipeline
