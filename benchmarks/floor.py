@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, timedelta
+from multiprocessing import get_context
 from pathlib import Path
 
 from cryptography import x509
@@ -92,13 +93,18 @@ def content(folder: Path) -> Sequence[tuple[str, Mapping[str, bytes]]]:
 def write(folder: Path, folders: Sequence[tuple[str, Mapping[str, bytes]]]) -> None:
     """Write folders and files below a new folder by two processes, each a half, and synchronise them once."""
     half = len(folders) // 2
-    other = os.fork()
-    for name, files in folders[:half] if other else folders[half:]:
+    other = get_context("fork").Process(target=_write, args=(folder, folders[half:]))
+    other.start()
+    _write(folder, folders[:half])
+    other.join()
+    if other.exitcode:
+        raise RuntimeError(f"the files of {folder} were not all written")
+    os.sync()
+
+
+def _write(folder: Path, folders: Sequence[tuple[str, Mapping[str, bytes]]]) -> None:
+    for name, files in folders:
         place = folder / name
         place.mkdir(parents=True, exist_ok=True)
         for file, text in files.items():
             (place / file).write_bytes(text)
-    if not other:
-        os._exit(0)
-    os.waitpid(other, 0)
-    os.sync()

@@ -480,13 +480,13 @@ def _staged(
     names = [each.name for each in held]
     around = {place for each in held for place, *_ in each.places}
     places = (*folders, *(f"{place}{end(names)}" for place in around for end in (min, max)))
-    common = store.stage_common(places)
     _trim(len(held) // _WRITING)  # the register and the record of a large fleet take memory
     removals = Plan(tuple(step for step in plan.steps if step.action is Action.REMOVED), plan.state)
     others = replace(plan, steps=tuple(step for step in plan.steps if step.action is not Action.REMOVED))
+    common = store.stage_common(places)
     staged: list[Exchange] = []
     try:
-        store.change(guards)
+        store.change(guards)  # before the first secret is written
         staged += (*workers.stage(store, others.changes()), *common)
         staged += store.stage((*removals.changes(), *record))
     except BaseException:

@@ -56,6 +56,7 @@ class Roots:
             yield path
             path = os.path.dirname(path)
         above = os.path.dirname(root)
+        # A private root is never staged: runs of other workspaces lock the folder itself.
         if not self.private[root] and f"{above}/".startswith(tuple(self._prefixes)):
             yield root
 
