@@ -76,6 +76,7 @@ _Stages = Sequence[Callable[[Session], PackageStage]]
 _Task = tuple[Session, Sequence[str], _Stages, NewPackages | None]
 """The workspace, the packages to plan, what makes each stage, and the packages that are new, if some may be."""
 _OTHERS = attrgetter(*(name for name in PackagePlan.__annotations__ if name not in {"name", "step", "stamp"}))
+_Files = Sequence[FolderChange]
 _Changes = Sequence[Sequence[Iterable[FolderChange]]]
 """The changes of each stage, in parts."""
 
@@ -132,12 +133,13 @@ class Workers(Crew):
         found = (each for source in self._sources for part in _answers(source) for each in part)
         return [_plan_of(each) if isinstance(each, tuple) else each for each in found]
 
-    def stage(self, store: Store, changes: Iterable[FolderChange]) -> list[Exchange]:
+    def stage(self, store: Store, changes: Iterable[FolderChange], meanwhile: Callable[[], object]) -> list[Exchange]:
         """Let the processes stage what they planned, and return it in the order of stages.
 
         Args:
             store: stages what this process has, and discards what some staged if others fail.
             changes: what this process has, which comes first.
+            meanwhile: called when this process has staged its part.
 
         Raises:
             KeymintError: the system refuses a write; what others staged is discarded.
@@ -149,6 +151,7 @@ class Workers(Crew):
         errors: list[KeymintError] = []
         with _refusing(self._own.append):
             self._own.append((_DONE, [store.stage(changes)]))
+            meanwhile()
         for source in self._sources:
             try:
                 by_process += _answers(source)
@@ -264,10 +267,9 @@ def _work(task: _Task, told: BinaryIO, pipe: BinaryIO) -> None:
     """Plan packages and send the plans stage by stage; stage them when the parent says so.
 
     This runs in a process of its own. The system begins to write what all processes staged once this one has half of
-    its part.
+    its part; the parent, which synchronises everything, is told what could not be written.
     """
     answers: SimpleQueue[bytes | None] = _queue()
-    records = task[0].workspace.state
 
     def deliver() -> None:
         with contextlib.suppress(OSError):  # the parent ended
@@ -275,7 +277,7 @@ def _work(task: _Task, told: BinaryIO, pipe: BinaryIO) -> None:
                 if answer:
                     _send(pipe, answer)
                     continue
-                with _refusing(lambda no: _send(pipe, _dumps(no))), reported(records), open_at(records) as opened:
+                with contextlib.suppress(OSError), open_at(task[0].workspace.state) as opened:
                     sync_file_system(opened)
 
     def send(answer: tuple[Any, ...]) -> None:
@@ -284,29 +286,27 @@ def _work(task: _Task, told: BinaryIO, pipe: BinaryIO) -> None:
     # A pipe takes little before the parent reads, which plans a part itself: this process must not wait for that.
     sender = threading.Thread(target=deliver, daemon=True)
     sender.start()
-    with contextlib.suppress(OSError):
-        try:
-            with _refusing(send):
-                changes = _planned_in_parts(answers.put, task)
-                store = open_store(task[0].workspace)
-                try:
-                    store.common.update(_receive(told))
-                except EOFError:  # the parent ended
-                    return
-                staged: list[list[Exchange]] = []
-                for of_stage in changes:
-                    if of_stage is changes[len(changes) // 2]:
-                        answers.put(b"")
-                    staged.append([each for part in of_stage for each in store.stage(part)])
-                send((_DONE, staged))
-                seen = [(folder, *status) for folder, status in store.seen.items()]
-                for at in range(0, len(seen), MOST_PACKAGES):
-                    send((_PART, [*zip(*seen[at : at + MOST_PACKAGES], strict=True)]))  # columns take less time
-                send((_DONE, ()))
-        except Exception as error:  # noqa: BLE001 - the parent reports it
-            import traceback  # noqa: PLC0415 - few runs need it
+    try:
+        with _refusing(send):
+            changes = _planned_in_parts(answers.put, task)
+            store = open_store(task[0].workspace)
+            store.common.update(_receive(told))  # if the parent ended, nobody reads the error of this
+            staged: list[list[Exchange]] = []
+            for of_stage in changes:
+                if of_stage is changes[len(changes) // 2]:
+                    answers.put(b"")
+                staged.append([each for part in of_stage for each in store.stage(part)])
+            # All plans were received, so this need not wait for the thread, which may synchronise.
+            _send(pipe, _dumps((_DONE, staged)))
+            seen = [(folder, *status) for folder, status in store.seen.items()]
+            for at in range(0, len(seen), MOST_PACKAGES):
+                columns = [*zip(*seen[at : at + MOST_PACKAGES], strict=True)]  # they take less time
+                _send(pipe, _dumps((_PART, columns)))
+            _send(pipe, _dumps((_DONE, ())))
+    except Exception as error:  # noqa: BLE001 - the parent reports it
+        import traceback  # noqa: PLC0415 - few runs need it
 
-            send((_CRASHED, f"{type(error).__name__}: {error}", traceback.format_exc()))
+        send((_CRASHED, f"{type(error).__name__}: {error}", traceback.format_exc()))
     answers.put(None)
     sender.join()
 
@@ -407,10 +407,10 @@ def execute(
     inputs: Inputs,
     store: Store,
     workers: Workers,
-    on_step: Callable[[Step], None],
     intent: Journal,
-    guards: Sequence[FolderChange] = (),
-    log: Sequence[FolderChange] = (),
+    guards: _Files,
+    log: _Files,
+    meanwhile: Callable[[], object],
 ) -> int:
     """Carry out a plan.
 
@@ -419,10 +419,10 @@ def execute(
         inputs: the workspace before it; the record is written only if it changes.
         store: the writer.
         workers: the processes that hold a part of what is written.
-        on_step: called for every step, after all of them.
         intent: what the run was asked for.
         guards: the missing ``.gitignore`` files.
         log: what adds the run to the log.
+        meanwhile: called while other processes stage, and the system writes what was staged, if that is much.
 
     Returns:
         The clock of the file system before anything became visible.
@@ -437,11 +437,9 @@ def execute(
         store.begin(replace(intent, packages=tuple(sorted(changing))))
         # The record of a large fleet is made as it is written.
         record = FolderChange(folder, {RECORD: File(plan.state.pieces)})
-        staged = _staged(plan, guards, (*log, record), store, workers)
+        staged = _staged(plan, guards, (*log, record), store, workers, meanwhile)
     visible = clock(folder)
     store.commit(staged)
-    for step in plan.steps:
-        on_step(step)
     return visible
 
 
@@ -469,52 +467,49 @@ def require_register(plan: Plan, inputs: Inputs) -> None:
 
 
 def _staged(
-    plan: Plan, guards: Sequence[FolderChange], record: Iterable[FolderChange], store: Store, workers: Workers
+    plan: Plan, guards: _Files, records: _Files, store: Store, workers: Workers, meanwhile: Callable[[], object]
 ) -> Sequence[Exchange]:
-    """Stage a plan and its record. What other processes hold comes before what is removed."""
+    """Stage a plan and its records. What other processes hold comes before what is removed."""
     folders = [str(change.folder) for change in plan.changes() if change.held]
     held = [*plan.held()]
     if not folders and not held:
         store.change(guards)  # before the first secret is written
-        return store.stage((*plan.changes(), *record))
+        return store.stage((*plan.changes(), *records))
     names = [each.name for each in held]
     around = {place for each in held for place, *_ in each.places}
     places = (*folders, *(f"{place}{end(names)}" for place in around for end in (min, max)))
     _trim(len(held) // _WRITING)  # the register and the record of a large fleet take memory
     removals = Plan(tuple(step for step in plan.steps if step.action is Action.REMOVED), plan.state)
     others = replace(plan, steps=tuple(step for step in plan.steps if step.action is not Action.REMOVED))
-    common = store.stage_common(places)
+    common, folder = store.stage_common(places), records[-1].folder
     staged: list[Exchange] = []
     try:
         store.change(guards)  # before the first secret is written
-        staged += (*workers.stage(store, others.changes()), *common)
-        staged += store.stage((*removals.changes(), *record))
+        with reported(folder), open_at(folder) as opened:  # it tells what could not be written since then
+            staged += (*workers.stage(store, others.changes(), meanwhile), *common)
+            staged += store.stage((*removals.changes(), *records))
+            sync_file_system(opened)
     except BaseException:
         store.discard((*staged, *common))
         raise
     return staged
 
 
-_Look = Callable[[], "Sight | None"]
-
-
-def remember(
-    call: Call, inputs: Inputs, plan: Plan, report: Report, look: _Look, store: Store, console: Console
-) -> None:
-    """Record the answer to a command, unless something is in doubt.
+def next_answer(
+    call: Call, inputs: Inputs, plan: Plan, report: Report, console: Console
+) -> tuple[Session, Answer] | None:
+    """Return the workspace as a command leaves it, and what the command prints then, or None if something is in doubt.
 
     Args:
         call: the command.
         inputs: the workspace before it.
-        plan: what it did.
+        plan: what it does.
         report: what it reports.
-        look: returns the files after it; None if another program may have changed some.
-        store: the writer.
         console: where the report is shown.
     """
     expected = next_report(plan, report)
     if expected is None or not is_recordable(call, str(inputs.workspace.root)):
-        return
+        return None
     # Profile, authorities and record as they are after the plan; the enclaves of a fleet would take memory.
     workspace = inputs.workspace
     changed = [item for space in (workspace.profile, workspace.public) for item in plan.overlay(f"{space}/")]
@@ -524,11 +519,10 @@ def remember(
     )
     is_certain = not plan.writes() or not expected.diagnostics
     if not settled and not is_certain:
-        return
+        return None
     answer = Answer(*console.rendered(expected), int(expected.exit_code), settled, is_certain)
     _trim(len(plan.steps) // _WRITING)  # the folders of a large fleet take memory
-    if sight := look():  # as late as possible: the clock of the file system must have moved on
-        record_answer(call, session, sight, (), answer, store)
+    return session, answer
 
 
 def record_answer(

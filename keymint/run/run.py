@@ -21,7 +21,7 @@ from keymint.errors import Diagnostic, ExitCode, KeymintError, Origin, Severity,
 from keymint.host.streams_and_signals import StoppedError, received_signal
 from keymint.output.console import Console, Streams
 from keymint.output.report import Report, merged_diagnostics
-from keymint.run.execution import RECORD, Workers, execute, open_store, record_answer, remember, require_register
+from keymint.run.execution import RECORD, Workers, execute, next_answer, open_store, record_answer, require_register
 from keymint.run.run_log import log_change
 from keymint.store.changes import File, Plan, Step
 from keymint.store.journal import Journal, intent_of
@@ -390,21 +390,24 @@ class Run:
             intent = self.intent()
             who = self.setting.who() if plan.writes() else ("", "")
             log = log_change(inputs, plan, self.verb, f"{intent.command}{' --yes' * self.yes}", who, self.setting.now)
-            with self.console.progress(len(plan.steps), self.setting.monotonic) as advance:
-                visible = execute(plan, inputs, store, self.crew, advance, intent, guards, log)
-            plan = plan.carried_out(POLICY)
-            beside = ((str(each.folder), each.written, each.removed) for each in itertools.chain(guards, log))
+
+            @functools.cache
+            def results() -> tuple[Plan, Report, tuple[Session, Answer] | None]:
+                done = plan.carried_out(POLICY)
+                outcome, code = self.outcome or self.result, exit_code(done)
+                report = self.report(outcome, done.diagnostics, code, workspace=workspace, steps=done.steps)
+                return done, report, next_answer(self.setting.call, inputs, done, self.presented(report), self.console)
+
+            visible = execute(plan, inputs, store, self.crew, intent, guards, log, results)
+            plan, report, answer = results()
             written = clock_now(workspace.state)
-            report = self.report(
-                self.outcome or self.result, plan.diagnostics, exit_code(plan), workspace=workspace, steps=plan.steps
-            )
-
-            def look() -> Sight | None:
+            if answer:
                 store.seen.update(self.crew.seen())
+                beside = ((str(each.folder), each.written, each.removed) for each in itertools.chain(guards, log))
                 names = itertools.chain(beside, plan.names())
-                return sight.after(names, visible, clock(workspace.state, written), store.seen)
-
-            remember(self.setting.call, inputs, plan, self.presented(report), look, store, self.console)
+                # As late as possible: the clock of the file system must have moved on.
+                if after := sight.after(names, visible, clock(workspace.state, written), store.seen):
+                    record_answer(self.setting.call, answer[0], after, (), answer[1], store)
             store.end()
         return report
 

@@ -191,11 +191,11 @@ from keymint.cli import main
 from keymint.run.execution import Workers
 execution.MIN_PACKAGES, execution.MOST_PACKAGES = 10, 4
 stage = Workers.stage
-def staged(self, store, changes):
+def staged(self, *arguments):
     process = self._processes[-1]
     os.kill(process.pid, signal.SIGKILL)
     os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
-    return stage(self, store, changes)
+    return stage(self, *arguments)
 Workers.stage = staged
 sys.exit(main(sys.argv[1:]))
 """
@@ -236,6 +236,39 @@ def test_what_the_system_cannot_write_while_more_is_staged(keymint: Keymint, tmp
     assert keymint("check", "-w", "ws").code == 0
 
 
+UNWRITTEN_FOR_ANOTHER = """
+import os, sys
+from pathlib import Path
+from keymint.run import execution
+from keymint.cli import main
+from keymint.run.execution import Workers
+execution.MIN_PACKAGES, execution.MOST_PACKAGES = 10, 4
+stage, parent = Workers.stage, os.getpid()
+def of_records():
+    return {int(each.name) for each in Path("/proc/self/fd").iterdir() if os.path.realpath(each) == records}
+def staged(self, *arguments):
+    global before
+    before = of_records()
+    return stage(self, *arguments)
+def sync_file_system(opened):
+    assert os.getpid() != parent or opened in before
+    Path("parent" if os.getpid() == parent else "other").touch()
+    return True
+records = os.path.abspath("ws/.keymint")
+Workers.stage, execution.sync_file_system = staged, sync_file_system
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def test_what_the_system_could_not_write_for_another_process(tmp_path: Path) -> None:
+    """It tells who synchronises with what was open before; see syncfs(2)."""
+    done = run(
+        tmp_path, "provision", policy(tmp_path / "policy.xml"), "-w", "ws", "-j", 2, program=UNWRITTEN_FOR_ANOTHER
+    )
+    assert done.code == 0, done.err
+    assert {path.name for path in tmp_path.iterdir()} >= {"other", "parent"}
+
+
 SEEN_BY_GIT = """
 import subprocess, sys
 from pathlib import Path
@@ -244,11 +277,11 @@ from keymint.cli import main
 from keymint.run.execution import Workers
 execution.MIN_PACKAGES, execution.MOST_PACKAGES = 10, 4
 stage = Workers.stage
-def staged(self, store, changes):
+def staged(self, *arguments):
     assert len([*Path("ws").rglob("enclaves")]) == 1 and not [*Path("ws").rglob("key.pem")]
     first = next(Path("ws").rglob("enclaves")).parent
     assert (first / ".gitignore").is_file(), "before the first secret"
-    done = stage(self, store, changes)
+    done = stage(self, *arguments)
     assert len([*Path("ws").rglob("key.pem")]) == 40
     subprocess.run(["git", "add", "-A"], check=True)
     return done
