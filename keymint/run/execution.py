@@ -150,8 +150,9 @@ class Workers(Crew):
         by_process: list[list[Sequence[Exchange]]] = []
         errors: list[KeymintError] = []
         with _refusing(self._own.append):
-            self._own.append((_DONE, [store.stage(changes)]))
+            self._own.append((_PART, [store.stage(changes)]))
             meanwhile()
+            self._own.append((_DONE, []))
         for source in self._sources:
             try:
                 by_process += _answers(source)

@@ -236,6 +236,28 @@ def test_what_the_system_cannot_write_while_more_is_staged(keymint: Keymint, tmp
     assert keymint("check", "-w", "ws").code == 0
 
 
+UNKNOWN_ANSWER = """
+import sys
+from keymint.cli import main
+from keymint.errors import KeymintError
+from keymint.run import execution, run
+execution.MIN_PACKAGES, execution.MOST_PACKAGES = 10, 4
+def next_answer(*_):
+    raise KeymintError("is not known", code="unknown")
+run.next_answer = next_answer
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def test_an_error_while_others_stage_leaves_nothing_behind(keymint: Keymint, tmp_path: Path) -> None:
+    source = policy(tmp_path / "policy.xml")
+    refused = run(tmp_path, "provision", source, "-w", "ws", "-j", 2, program=UNKNOWN_ANSWER)
+    assert (refused.code, refused.err) == (1, "error: is not known [unknown]\n")
+    assert not [*(tmp_path / "ws").rglob("key.pem"), *(tmp_path / "ws").rglob(".keymint-*")]
+    assert keymint("provision", source, "-w", "ws", "-j", 1).code == 0
+    assert keymint("check", "-w", "ws").code == 0
+
+
 UNWRITTEN_FOR_ANOTHER = """
 import os, sys
 from pathlib import Path
