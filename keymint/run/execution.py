@@ -142,26 +142,31 @@ class Workers(Crew):
             meanwhile: called when this process has staged its part.
 
         Raises:
-            KeymintError: the system refuses a write; what others staged is discarded.
+            KeymintError: the system refuses a write; what was staged is discarded, as it is if a signal ends the run.
         """
         self._have_staged = True
         for process in self._processes:
             process.tell(store.common)
         by_process: list[list[Sequence[Exchange]]] = []
-        errors: list[KeymintError] = []
-        with _refusing(self._own.append):
-            self._own.append((_PART, [store.stage(changes)]))
+        errors: list[BaseException] = []
+
+        def own() -> Iterator[list[Sequence[Exchange]]]:
+            yield [store.stage(changes)]
             meanwhile()
-            self._own.append((_DONE, []))
-        for source in self._sources:
+
+        for answers in (own(), *map(_answers, self._sources[1:])):
             try:
-                by_process += _answers(source)
-            except KeymintError as error:
+                by_process += answers
+            except BaseException as error:  # noqa: BLE001 - it is raised below
                 errors.append(error)
+                # What others stage is discarded as well, so this waits for them, but not if a signal ends the run.
+                if not isinstance(error, KeymintError):
+                    self.close()
+                    break
         if errors:
             for staged in itertools.chain(*by_process):
                 store.discard(staged)
-            raise errors[0]
+            raise errors[-1]
         of_stages = itertools.zip_longest(*by_process, fillvalue=())
         return [each for of_stage in of_stages for staged in of_stage for each in staged]
 
@@ -300,9 +305,8 @@ def _work(task: _Task, told: BinaryIO, pipe: BinaryIO) -> None:
             # All plans were received, so this need not wait for the thread, which may synchronise.
             _send(pipe, _dumps((_DONE, staged)))
             seen = [(folder, *status) for folder, status in store.seen.items()]
-            for at in range(0, len(seen), MOST_PACKAGES):
-                columns = [*zip(*seen[at : at + MOST_PACKAGES], strict=True)]  # they take less time
-                _send(pipe, _dumps((_PART, columns)))
+            for at in range(0, len(seen), MOST_PACKAGES):  # columns take less time
+                _send(pipe, _dumps((_PART, [*zip(*seen[at : at + MOST_PACKAGES], strict=True)])))
             _send(pipe, _dumps((_DONE, ())))
     except Exception as error:  # noqa: BLE001 - the parent reports it
         import traceback  # noqa: PLC0415 - few runs need it

@@ -258,6 +258,38 @@ def test_an_error_while_others_stage_leaves_nothing_behind(keymint: Keymint, tmp
     assert keymint("check", "-w", "ws").code == 0
 
 
+STOPPED_WHILE_OTHERS_STAGE = """
+import os, signal, sys, time
+from keymint.run import execution, run
+from keymint.__main__ import main
+from keymint.store.store import Store
+execution.MIN_PACKAGES, execution.MOST_PACKAGES = 10, 4
+stage, discard, parent = Store.stage, Store.discard, os.getpid()
+def staged(self, changes):
+    if os.getpid() != parent:
+        time.sleep(0.3)
+    return stage(self, changes)
+def discarded(self, exchanges):
+    discard(self, exchanges)
+    time.sleep(1)
+def next_answer(*_):
+    os.kill(parent, signal.SIGTERM)
+    time.sleep(1)
+Store.stage, Store.discard, run.next_answer = staged, discarded, next_answer
+sys.argv = ["keymint", *sys.argv[1:]]
+main()
+"""
+
+
+def test_a_run_that_is_stopped_while_others_stage_leaves_nothing_behind(keymint: Keymint, tmp_path: Path) -> None:
+    source = policy(tmp_path / "policy.xml")
+    stopped = run(tmp_path, "provision", source, "-w", "ws", "-j", 2, program=STOPPED_WHILE_OTHERS_STAGE)
+    assert (stopped.code, stopped.err.count("\n")) == (128 + signal.SIGTERM, 1)
+    assert not [*(tmp_path / "ws").rglob("key.pem"), *(tmp_path / "ws").rglob(".keymint-*")]
+    assert keymint("provision", source, "-w", "ws", "-j", 1).code == 0
+    assert keymint("check", "-w", "ws").code == 0
+
+
 UNWRITTEN_FOR_ANOTHER = """
 import os, sys
 from pathlib import Path
