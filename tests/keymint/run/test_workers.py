@@ -267,14 +267,14 @@ execution.MIN_PACKAGES, execution.MOST_PACKAGES = 10, 4
 stage, discard, parent = Store.stage, Store.discard, os.getpid()
 def staged(self, changes):
     if os.getpid() != parent:
-        time.sleep(0.3)
+        time.sleep(0.1)
     return stage(self, changes)
 def discarded(self, exchanges):
     discard(self, exchanges)
-    time.sleep(1)
+    time.sleep(0.4)
 def next_answer(*_):
     os.kill(parent, signal.SIGTERM)
-    time.sleep(1)
+    time.sleep(1)  # the signal ends it
 Store.stage, Store.discard, run.next_answer = staged, discarded, next_answer
 sys.argv = ["keymint", *sys.argv[1:]]
 main()
