@@ -260,22 +260,24 @@ def test_an_error_while_others_stage_leaves_nothing_behind(keymint: Keymint, tmp
 
 STOPPED_WHILE_OTHERS_STAGE = """
 import os, signal, sys, time
+import shutil  # before os.rmdir is another one
 from keymint.run import execution, run
 from keymint.__main__ import main
-from keymint.store.store import Store
+from keymint.store import file_writing
 execution.MIN_PACKAGES, execution.MOST_PACKAGES = 10, 4
-stage, discard, parent = Store.stage, Store.discard, os.getpid()
-def staged(self, changes):
+create, rmdir, parent = file_writing.create, os.rmdir, os.getpid()
+def created(*arguments):
     if os.getpid() != parent:
-        time.sleep(0.1)
-    return stage(self, changes)
-def discarded(self, exchanges):
-    discard(self, exchanges)
-    time.sleep(0.4)
+        time.sleep(0.002)
+    return create(*arguments)
+def removed(*arguments, **options):
+    time.sleep(0.01)  # the other process may write meanwhile
+    rmdir(*arguments, **options)
 def next_answer(*_):
+    os.rmdir = removed
     os.kill(parent, signal.SIGTERM)
     time.sleep(1)  # the signal ends it
-Store.stage, Store.discard, run.next_answer = staged, discarded, next_answer
+file_writing.create, run.next_answer = created, next_answer
 sys.argv = ["keymint", *sys.argv[1:]]
 main()
 """
