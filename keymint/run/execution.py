@@ -76,7 +76,7 @@ _Stages = Sequence[Callable[[Session], PackageStage]]
 _Task = tuple[Session, Sequence[str], _Stages, NewPackages | None]
 """The workspace, the packages to plan, what makes each stage, and the packages that are new, if some may be."""
 _OTHERS = attrgetter(*(name for name in PackagePlan.__annotations__ if name not in {"name", "step", "stamp"}))
-_Files = Sequence[FolderChange]
+_Files = Sequence[FolderChange]  # changes that belong to no step
 _Changes = Sequence[Sequence[Iterable[FolderChange]]]
 """The changes of each stage, in parts."""
 
@@ -148,7 +148,7 @@ class Workers(Crew):
         for process in self._processes:
             process.tell(store.common)
         by_process: list[list[Sequence[Exchange]]] = []
-        errors: list[BaseException] = []
+        failed: BaseException | None = None
 
         def own() -> Iterator[list[Sequence[Exchange]]]:
             yield [store.stage(changes)]
@@ -158,15 +158,15 @@ class Workers(Crew):
             try:
                 by_process += answers
             except BaseException as error:  # noqa: BLE001 - it is raised below
-                errors.append(error)
+                failed = error
                 # What others stage is discarded as well, so this waits for them, but not if a signal ends the run.
                 if not isinstance(error, KeymintError):
                     self.close()
                     break
-        if errors:
+        if failed:
             for staged in itertools.chain(*by_process):
                 store.discard(staged)
-            raise errors[-1]
+            raise failed
         of_stages = itertools.zip_longest(*by_process, fillvalue=())
         return [each for of_stage in of_stages for staged in of_stage for each in staged]
 

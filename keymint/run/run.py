@@ -399,8 +399,8 @@ class Run:
                 return done, report, next_answer(self.setting.call, inputs, done, self.presented(report), self.console)
 
             visible = execute(plan, inputs, store, self.crew, intent, guards, log, results)
+            written = clock_now(workspace.state)  # what comes now takes as long as the clock needs to move on
             plan, report, answer = results()
-            written = clock_now(workspace.state)
             if answer:
                 store.seen.update(self.crew.seen())
                 beside = ((str(each.folder), each.written, each.removed) for each in itertools.chain(guards, log))
