@@ -120,7 +120,9 @@ def _of_files(session: Session, package: Package, loaded: LoadedEnclave) -> Iter
     name, subject = package.name, package.subject
     if loaded.is_absent:
         folder = session.workspace.shown(session.enclave_folder(name))
-        yield installed_enclaves.not_installed(name, folder, withdrawn(session).get(name, ""))
+        missing = installed_enclaves.not_installed(name, folder, withdrawn(session).get(name, ""))
+        # Before the robot's request nothing can be installed.
+        yield replace(missing, help=identities.unknown_key(package).help) if identities.is_awaited(package) else missing
         return
     yield from loaded.unread
     yield from enclave_files_on_disk(session, package, loaded.files)

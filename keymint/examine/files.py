@@ -273,7 +273,7 @@ def outside_enclaves(session: Session, within: timedelta) -> Iterator[Diagnostic
     )
     targets = set(map(session.tree.follows, files))
     folders = [path for path, is_folder in entries if is_folder]
-    restores = "'keymint install' restores it"
+    restores = "'keymint install' restores it" if names else "it is written again with the next enclave"
     empty = [folder for folder in folders if not session.tree.names(folder)]  # an error if one cannot be read
     for relative, content in expected.items():
         if (path := f"{workspace.install}/{relative}") not in own and path not in targets:

@@ -42,7 +42,7 @@ def require_unneeded(session: Session, names: Sequence[str]) -> None:
     for name, (title, _) in session.needed_infrastructure().items():
         if name in names and session.role(name) is Role.INFRASTRUCTURE:
             message = f"{subject_of(name)} is {title} of this workspace"
-            help_ = "'keymint renew --rekey' gives it a new key"
+            help_ = f"'keymint renew --rekey {name}' gives it a new key"
             errors.append(Diagnostic.error("package-needed", message, session.package_marker(name), help_))
     require_none(errors)
 

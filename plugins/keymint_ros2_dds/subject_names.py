@@ -149,13 +149,14 @@ def same_name(grant: str, identity: str) -> bool:
 def parts_occur(grant: str, identity: str) -> bool:
     """Compare as Cyclone DDS: split at ``,``, ``/`` and ``|``; the grant must have every part of the identity.
 
-    An identity with an empty part before its end has no grant: ``CN=/,OU=4f``, but not ``OU=4f,CN=/``.
+    Of parts of the grant with one type, the first counts: ``OU=0,OU=4f`` lacks ``OU=4f``. An identity with an empty
+    part before its end has no grant: ``CN=/,OU=4f``, but not ``OU=4f,CN=/``.
     """
     if has_empty_part(identity):
         return False
-    identity_parts, grant_parts = parts(identity), parts(grant)
-    most = max(len(identity_parts), len(grant_parts))
-    return most <= MAX_TOKENS and set(identity_parts) <= set(grant_parts)
+    own, others = ([part.partition("=")[::2] for part in parts(name)] for name in (identity, grant))
+    first = dict(reversed(others))
+    return max(len(own), len(others)) <= MAX_TOKENS and all(first.get(kind) == value for kind, value in own)
 
 
 def trimmed_parts_occur(grant: str, identity: str) -> bool:

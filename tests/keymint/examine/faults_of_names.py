@@ -80,7 +80,7 @@ CONTAINING: dict[str, Callable[[str, str], str]] = {
     "bars for slashes": lambda cn, ou: f"CN={cn.replace('/', '|')},OU={ou}",
     "doubled": lambda cn, ou: f"CN={cn},OU={ou},CN={cn},OU={ou}",
     "reversed path": lambda cn, ou: f"CN=/{'/'.join(reversed(cn[1:].split('/')))}/z,OU={ou}",
-    "two generations": lambda cn, ou: f"CN={cn},OU=0,OU={ou}",
+    "two generations": lambda cn, ou: f"CN={cn},OU={ou},OU=0",
     "doubled generation": lambda cn, ou: f"CN={cn},OU={ou},OU={ou}",
     "one line": lambda cn, ou: f"/CN=/x{cn}/OU={ou}",
 }
@@ -90,6 +90,7 @@ NEAR = {
     "letter case": lambda cn, ou: f"CN={cn.upper()}/more,OU={ou}",
     "longer word": lambda cn, ou: f"CN={cn}more,OU={ou}",
     "part of the generation": lambda cn, ou: f"CN={cn}/more,OU={ou[:-1]}",
+    "another generation first": lambda cn, ou: f"CN={cn},OU=0,OU={ou}",
 }
 """Names that look like it, and fit nothing."""
 

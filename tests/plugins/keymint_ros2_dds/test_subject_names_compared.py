@@ -26,6 +26,12 @@ RDNS = st.lists(
 )
 
 
+def has_no_type_with_two_values(rdns: list[str]) -> bool:
+    """Tell whether Cyclone DDS reads all of a name: of each type it reads the first value, of ``CN=/a`` none."""
+    values = {tuple(rdn.split("/")[0].split("=")) for rdn in rdns}
+    return len({kind for kind, _ in values}) == len(values)
+
+
 @pytest.mark.parametrize(
     ("grant", "standard", "cyclone", "fast"),
     [
@@ -35,6 +41,8 @@ RDNS = st.lists(
         ("OU=4f,CN=/talker", True, True, False),
         ("CN=/talker/below,OU=4f", False, True, False),
         ("CN=/talker,OU=4f,O=more", False, True, False),
+        ("CN=/talker,OU=4f,OU=0", False, True, False),
+        ("CN=/talker,OU=0,OU=4f", False, False, False),
         ("CN=/talker", False, False, False),
         ("cn=/talker,ou=4f", True, False, False),
         ("no name", False, False, False),
@@ -47,15 +55,17 @@ def test_who_takes_a_grant_for_that_of_an_identity(grant: str, standard: bool, c
 
 @given(RDNS)
 def test_everyone_knows_the_very_name_and_the_standard_its_reverse(rdns: list[str]) -> None:
-    name = ",".join(rdns)
-    assert all(each(name, name) for each in (same_name, parts_occur, same_text))
-    assert same_name(",".join(reversed(rdns)), name)
-    assert parts_occur(",".join(reversed(rdns)), name)
+    name, reverse = ",".join(rdns), ",".join(reversed(rdns))
+    assert same_name(name, name)
+    assert same_text(name, name)
+    assert same_name(reverse, name)
+    assert parts_occur(name, name) is parts_occur(reverse, name) is has_no_type_with_two_values(rdns)
 
 
 @given(RDNS, RDNS)
 def test_cyclone_dds_takes_a_longer_name_for_a_shorter_one(rdns: list[str], more: list[str]) -> None:
-    assert parts_occur(",".join([*more, *rdns]), ",".join(rdns))
+    assume(has_no_type_with_two_values(rdns))
+    assert parts_occur(",".join([*rdns, *more]), ",".join(rdns))
 
 
 def test_cyclone_dds_has_room_for_twenty_parts() -> None:
@@ -184,9 +194,8 @@ def test_cyclone_dds_11_ignores_blanks_around_the_parts_of_a_name(rdns: list[str
     name = ",".join(rdns)
     marks = [index for index, char in enumerate(name) if char in ",="]
     padded = name[: (index := marks[at % len(marks)])] + blank + name[index] + blank + name[index + 1 :]
-    assert trimmed_parts_occur(padded, name)
-    assert trimmed_parts_occur(name, name)
-    assert parts_occur(name, name)
+    assert trimmed_parts_occur(padded, name) is parts_occur(name, name)
+    assert trimmed_parts_occur(name, name) is parts_occur(name, name)
     assert not parts_occur("CN = /a", "CN=/a")
 
 

@@ -142,7 +142,9 @@ def test_the_routers_file_loses_its_rights(keymint: Callable, policy: Path, tmp_
     assert keymint("remove", "talker", "-w", "ws").code == 0
     assert "talker" not in router.read_text()
     assert keymint("check", "-w", "ws").code == 0
-    assert keymint("remove", "zenoh_router", "-w", "ws", "--json").codes() == ["package-needed"]
+    refused = keymint("remove", "zenoh_router", "-w", "ws", "--json")
+    assert refused.codes() == ["package-needed"]
+    assert "'keymint renew --rekey zenoh_router -w ws'" in refused.document["diagnostics"][0]["help"]
 
 
 def test_prune_names_the_packages_that_nobody_needs(keymint: Callable, renamed: Path) -> None:

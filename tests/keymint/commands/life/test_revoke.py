@@ -327,8 +327,12 @@ def test_after_all_were_revoked_check_finds_nothing(provisioned: Path, keymint) 
     assert keymint("check", cwd=provisioned).code == 0
     (provisioned / "install/public/stray.pem").touch()
     (provisioned / "install/enclaves/governance.xml").write_bytes(b"")
-    codes = keymint("check", "--json", cwd=provisioned).codes()
-    assert [code for code in codes if code != "identity-revoked"] == ["file-changed", "file-unexpected"]
+    outcome = keymint("check", "--json", cwd=provisioned)
+    assert [code for code in outcome.codes() if code != "identity-revoked"] == ["file-changed", "file-unexpected"]
+    assert "is written again with the next enclave" in str(outcome.document["diagnostics"])
+    (provisioned / "install/public/stray.pem").unlink()
+    assert keymint("renew", "--rekey", NAMES[0], cwd=provisioned).code == 0
+    assert keymint("check", cwd=provisioned).code == 0
 
 
 def test_after_all_but_the_router_were_revoked_check_finds_nothing(keymint, policy: Path) -> None:
