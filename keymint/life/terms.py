@@ -17,12 +17,11 @@ from comarmor.values import Data, replace
 from keymint.api import Package, Validity, ValidityTerm
 from keymint.authority.authority_files import with_issuers
 from keymint.errors import Diagnostic, Origin, Severity
-from keymint.names import subject_of
+from keymint.names import name_of, subject_of
 from keymint.view.stamps import Stamp
 from keymint.workspace.session import Session
 from keymint.workspace.workspace import Workspace
 
-_HELP = "'keymint renew' issues it again with later dates"
 _HELP_BY_CODE = {
     "authority": "'keymint authority renew' issues it again for the same key",
     "revocation-list": "'keymint crl --refresh' issues it again",
@@ -121,7 +120,8 @@ def findings(
 ) -> Iterator[Diagnostic]:
     """Yield an error for each term that is not in force now, and a warning for each that expires within some time."""
     for term in terms:
-        renew = _HELP_BY_CODE.get(term.code, _HELP)
+        own = f"'{f'keymint renew {name_of(subject)}'.rstrip()}' issues it again with later dates"
+        renew = _HELP_BY_CODE.get(term.code, own)
         if last := end([term], now):
             if last < now + within:
                 message = f"{term.what} expires on {iso_time(last)}"
@@ -186,7 +186,8 @@ def of_sources(by_package: Mapping[str, Iterable[Term]], session: Session) -> tu
             continue
         before = len(warnings)
         term = ValidityTerm(each.what, f"the {what}", each.where, ((each.first, each.last),))
-        warnings += (replace(found, severity=Severity.WARNING) for found in findings([term], session.now, subject))
+        # The advice is for all packages that have this lifetime.
+        warnings += (replace(one, severity=Severity.WARNING, subject=subject) for one in findings([term], session.now))
         spec = specs.get(each.issuer)
         if spec is not None and each.last > spec.validity.not_after:
             message = (

@@ -84,6 +84,7 @@ def test_vendors_that_read_a_date_differently_are_told_apart(keymint: Callable, 
     found = [one for one in outcome.document["diagnostics"] if one["code"] == "grant-expired"]
     assert len(found) == 1
     assert "expired on 2027-01-15T01:00:00Z, as fastdds-2.11 reads its dates" in found[0]["message"]
+    assert "'keymint renew talker -w" in found[0]["help"]  # without its name it is not due
     (enclave,) = outcome.document["result"]["enclaves"]
     assert {claim["model"]: claim["until"] for claim in enclave["claims"]} == {
         "omg": "2027-01-15T09:00:00Z",
