@@ -25,7 +25,6 @@ from keymint.examine.files import enclave_files_on_disk, file_status, outside_en
 from keymint.examine.keystore import UNFINISHED, deciding_findings, staged_keystore_session
 from keymint.host.pool import Pool
 from keymint.life.examine import Keyring, orphan_findings, shared_keys
-from keymint.life.workspace_register import withdrawn
 from keymint.names import subject_of
 from keymint.pki import keys
 from keymint.stages import identities
@@ -119,10 +118,7 @@ def _of_files(session: Session, package: Package, loaded: LoadedEnclave) -> Iter
     """Yield the findings on the files of an enclave, and those of its build types; or that on a missing enclave."""
     name, subject = package.name, package.subject
     if loaded.is_absent:
-        folder = session.workspace.shown(session.enclave_folder(name))
-        missing = installed_enclaves.not_installed(name, folder, withdrawn(session).get(name, ""))
-        # Before the robot's request nothing can be installed.
-        yield replace(missing, help=identities.unknown_key(package).help) if identities.is_awaited(package) else missing
+        yield identities.missing_enclave(session, package, session.workspace.shown(session.enclave_folder(name)))
         return
     yield from loaded.unread
     yield from enclave_files_on_disk(session, package, loaded.files)

@@ -120,8 +120,8 @@ def findings(
 ) -> Iterator[Diagnostic]:
     """Yield an error for each term that is not in force now, and a warning for each that expires within some time."""
     for term in terms:
-        own = f"'{f'keymint renew {name_of(subject)}'.rstrip()}' issues it again with later dates"
-        renew = _HELP_BY_CODE.get(term.code, own)
+        named = f" {name_of(subject)}" if subject else ""
+        renew = _HELP_BY_CODE.get(term.code, f"'keymint renew{named}' issues it again with later dates")
         if last := end([term], now):
             if last < now + within:
                 message = f"{term.what} expires on {iso_time(last)}"

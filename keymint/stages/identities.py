@@ -20,12 +20,12 @@ from keymint.authority.authority_files import trusted_chains
 from keymint.errors import Diagnostic, KeymintError, Origin, Severity, known_authority, require_none
 from keymint.life.register import SUPERSEDED, IssuedCertificate, Register
 from keymint.life.revocation_lists_in_force import enclave_lists
-from keymint.life.workspace_register import entry_of, has_register, issuer_of, outdated_register, register_of
+from keymint.life.workspace_register import entry_of, has_register, issuer_of, outdated_register, register_of, withdrawn
 from keymint.names import subject_of
 from keymint.pki import certificates, keys
 from keymint.store.changes import FolderChange, secret_file
 from keymint.view.stamps import digest, digest_files
-from keymint.workspace.installed_enclaves import CERTIFICATE, KEY
+from keymint.workspace.installed_enclaves import CERTIFICATE, KEY, not_installed
 from keymint.workspace.package_build_types import build_types_of, roles_of, two_writers
 from keymint.workspace.session import Inputs, Session
 from keymint.workspace.stored_keys import (
@@ -72,6 +72,15 @@ def unknown_key(package: Package) -> Diagnostic:
     )
     help_ = "run 'keymint request --pkcs11 …' on the machine that has the token, then 'keymint sign' here"
     return Diagnostic.warning("key-unknown", message, package.identity.origin, help_, package.subject)
+
+
+def missing_enclave(session: Session, package: Package, folder: str) -> Diagnostic:
+    """Return the finding on a package without an enclave, of which ``folder`` is shown.
+
+    Before the robot's request nothing can be installed.
+    """
+    missing = not_installed(package.name, folder, withdrawn(session).get(package.name, ""))
+    return replace(missing, help=unknown_key(package).help) if is_awaited(package) else missing
 
 
 def private_key(session: Session, package: Package) -> bytes:

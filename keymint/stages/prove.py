@@ -20,17 +20,17 @@ from keymint.authority.examine import contradictions_for
 from keymint.errors import Defects, Diagnostic, KeymintError, Severity, require_none
 from keymint.ir import SubjectRules
 from keymint.life import terms
-from keymint.life.workspace_register import withdrawn
 from keymint.names import name_of, subject_of
 from keymint.pki import distinguished_names
 from keymint.stages import proof_results
 from keymint.stages.documents import documents_digest, enclaves_of, installed_documents
+from keymint.stages.identities import missing_enclave
 from keymint.stages.proof_results import EnclaveProof, ProofEffort, ProofResults
 from keymint.stages.trust_anchors import anchors_of, shared_anchors, unread_of
 from keymint.stages.work import NewPackage, PackageStage
 from keymint.view.stamps import Stamp, digest, digest_files, digest_of_texts, stamp_of
 from keymint.workspace import package_build_types
-from keymint.workspace.installed_enclaves import enclave_digests, enclave_files, not_installed
+from keymint.workspace.installed_enclaves import enclave_digests, enclave_files
 from keymint.workspace.package_build_types import SHARED
 from keymint.workspace.session import Session
 
@@ -313,7 +313,7 @@ class ProofStage(PackageStage):
     ) -> EnclaveProof:
         subject = package.subject
         if not files:
-            missing = not_installed(package.name, folder, withdrawn(self._session).get(package.name, ""))
+            missing = missing_enclave(self._session, package, folder)
             return EnclaveProof(package.name, subject, diagnostics=(replace(missing, severity=Severity.ERROR),))
         claims: list[api.Claim] = []
         validity: list[api.ValidityTerm] = []

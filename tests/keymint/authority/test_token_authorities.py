@@ -290,10 +290,10 @@ def test_a_robot_that_made_no_request_yet_keeps_nobody_waiting(keymint, policy: 
         assert (outcome.code, outcome.codes()) == (0, ["key-unknown"])
     assert not (ws / "install/enclaves/talker").exists()
     assert (ws / "install/enclaves/robot1/listener/cert.pem").exists()
-    (missing,) = (
-        each for each in keymint("check", "--json", cwd=ws).document["diagnostics"] if each["code"] == "enclave-missing"
-    )
-    assert "'keymint request" in missing["help"]
+    for words in (("check",), ("prove", "talker")):
+        told = keymint(*words, "--json", cwd=ws).document["diagnostics"]
+        (missing,) = (each for each in told if each["code"] == "enclave-missing")
+        assert "'keymint request" in missing["help"], words
     assert keymint("build", "--rekey", "talker", "--json", cwd=ws).codes() == ["key-elsewhere"]
     assert keymint("build", "-f", cwd=ws).code == 0
 
