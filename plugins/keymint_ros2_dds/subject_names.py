@@ -17,7 +17,7 @@ from keymint.errors import KeymintError, Origin
 from keymint.pki import distinguished_names
 
 MAX_TOKENS = 20
-"""Maximum tokens, split at ``,`` ``/`` and ``|``, of a subject name that Cyclone DDS compares; it refuses more."""
+"""Maximum tokens, split at ``,`` ``/`` and ``|``, of the subject name of a grant; Cyclone DDS ignores one with more."""
 _AMBIGUOUS = frozenset('"\\<>;|')
 """Characters that some vendor escapes or treats as a separator when it compares names."""
 _USUAL = lazy_regex(r"(?:(OU=[\w.-]{1,64}),)?(CN=(?=.{1,64}\Z)/?[\w.-]+(?:/[\w.-]+){0,15})", re.ASCII)
@@ -149,14 +149,15 @@ def same_name(grant: str, identity: str) -> bool:
 def parts_occur(grant: str, identity: str) -> bool:
     """Compare as Cyclone DDS: split at ``,``, ``/`` and ``|``; the grant must have every part of the identity.
 
-    Of parts of the grant with one type, the first counts: ``OU=0,OU=4f`` lacks ``OU=4f``. An identity with an empty
-    part before its end has no grant: ``CN=/,OU=4f``, but not ``OU=4f,CN=/``.
+    Of parts of the grant with one type, the first counts: ``OU=0,OU=4f`` lacks ``OU=4f``. A grant of more than
+    :data:`MAX_TOKENS` parts is for nobody; an identity may have any number. An identity with an empty part before its
+    end has no grant: ``CN=/,OU=4f``, but not ``OU=4f,CN=/``.
     """
     if has_empty_part(identity):
         return False
     own, others = ([part.partition("=")[::2] for part in parts(name)] for name in (identity, grant))
     first = dict(reversed(others))
-    return max(len(own), len(others)) <= MAX_TOKENS and all(first.get(kind) == value for kind, value in own)
+    return len(others) <= MAX_TOKENS and all(first.get(kind) == value for kind, value in own)
 
 
 def trimmed_parts_occur(grant: str, identity: str) -> bool:

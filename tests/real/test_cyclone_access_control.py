@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from cryptography.x509.oid import NameOID
+from keymint_ros2_dds.subject_names import parts_occur
 from keymint_ros2_dds.vendors.cyclone_access_control import CycloneAccessControl
 
 from tests.plugins.keymint_ros2_dds.decision.cyclone_matcher import ac_fnmatch
@@ -179,6 +180,28 @@ def test_without_a_second_rdn_an_identity_selects_the_grant_of_a_longer_path(
     folder = authorities.enclave(tmp_path, rule("allow", PUBLISH_X), name="/robot", subject="CN=/robot/camera")
     with CycloneAccessControl(folder) as access:
         assert access.allows("publish", "rt/x")
+
+
+@pytest.mark.parametrize(
+    ("name", "subject", "valid"),
+    [
+        ("/a" * 26, "CN=/a", True),
+        ("/a" + "/b" * 25, "CN=/a/b", True),
+        ("/a" + "/b" * 25, "CN=/a", False),
+        ("/a", "CN=" + "/a" * 19, True),
+        ("/a", "CN=" + "/a" * 20, False),
+        ("/a" * 26, "CN=" + "/a" * 26, False),
+    ],
+    ids=lambda value: f"{value[:8]}…{value.count('/')}" if isinstance(value, str) else str(value),
+)
+def test_of_a_grant_twenty_parts_are_read_and_of_an_identity_all(
+    authorities: Authorities, tmp_path: Path, name: str, subject: str, valid: bool
+) -> None:
+    folder = authorities.enclave(tmp_path, rule("allow", PUBLISH_X), name=name, subject=subject)
+    with CycloneAccessControl(folder) as access:
+        assert access.valid is valid
+        assert access.allows("publish", "rt/x") is valid
+    assert parts_occur(subject, f"CN={name}") is valid
 
 
 @pytest.mark.parametrize(
