@@ -194,9 +194,7 @@ def _require_in_force(bundle: Bundle, now: datetime, where: Origin) -> None:
     first, last = bundle.manifest.not_before, bundle.manifest.not_after
     again = "ask the authority for a new bundle"
     if not first <= now <= last:
-        message = (
-            f"it is in force from {_shown(first)} to {_shown(last)}, and the clock of this machine is at {_shown(now)}"
-        )
+        message = f"it is in force from {_shown(first)} to {_shown(last)}; this machine's clock is at {_shown(now)}"
         raise KeymintError(message, where=where, help=f"set the clock, or {again}", code="bundle-dates")
     chain = next(bundle.files[name] for name, each in bundle.authorities.items() if bundle.signer in each)
     if problems := examine.verify_chain(bundle.files[CERTIFICATE], chain, now, where):

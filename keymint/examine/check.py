@@ -14,15 +14,14 @@ from functools import partial
 from itertools import chain
 from typing import Any, TypeVar
 
-from comarmor.text import lazy_regex
 from comarmor.values import Data, field, replace
 from keymint.api import BuildOptions, BuildType, Inspection, Package
 from keymint.authority.authority_files import elsewhere, trusted_chains
 from keymint.authority.examine import DECIDED_BY_A_PERSON
 from keymint.errors import Diagnostic, KeymintError, Severity
+from keymint.examine import keystore
 from keymint.examine.authorities import authorities, encryption, exposed_keys, git_exposure
 from keymint.examine.files import enclave_files_on_disk, file_status, outside_enclaves, unexpected_file
-from keymint.examine.keystore import UNFINISHED, deciding_findings, staged_keystore_session
 from keymint.host.pool import Pool
 from keymint.life.examine import Keyring, orphan_findings, shared_keys
 from keymint.names import subject_of
@@ -118,7 +117,7 @@ def _of_files(session: Session, package: Package, loaded: LoadedEnclave) -> Iter
     """Yield the findings on the files of an enclave, and those of its build types; or that on a missing enclave."""
     name, subject = package.name, package.subject
     if loaded.is_absent:
-        yield identities.missing_enclave(session, package, session.workspace.shown(session.enclave_folder(name)))
+        yield identities.missing_enclave(session, package)
         return
     yield from loaded.unread
     yield from enclave_files_on_disk(session, package, loaded.files)
@@ -247,14 +246,16 @@ def check(
     findings = [each for each in findings if (each.code, each.where) not in told]
     if defect := next((each for each in of_authorities if each.code in DECIDED_BY_A_PERSON), None):
         help_ = f"fix {defect.where} first"  # until then installing fails
-        findings = [replace(each, help=help_) if _INSTALLS.search(each.help) else each for each in findings]
+        findings = [replace(each, help=help_) if keystore.INSTALLS.search(each.help) else each for each in findings]
     found = (*of_authorities, *of_files, *of_git, *findings, *_of_second_keystore(session, names, within, pool))
-    return tuple(sorted(found, key=lambda each: each.code != UNFINISHED)), more  # it may be the cause of others
+    return tuple(
+        sorted(found, key=lambda each: each.code != keystore.UNFINISHED)
+    ), more  # it may be the cause of others
 
 
 def _deciding(session: Session) -> Iterator[Diagnostic]:
     try:
-        yield from tuple(deciding_findings(session))
+        yield from tuple(keystore.deciding_findings(session))
     except KeymintError as error:  # a package has defects, or the register
         yield from error.diagnostics
 
@@ -264,18 +265,15 @@ def _of_second_keystore(
 ) -> tuple[Diagnostic, ...]:
     """Return the findings on a keystore that lies beside the one in force, judged as if it were that one."""
     try:
-        ahead = staged_keystore_session(session)
+        ahead = keystore.staged_keystore_session(session)
     except KeymintError as error:
         return error.diagnostics
     if ahead is None:
         return ()
     ready = frozenset(installed_enclaves.with_sources(ahead))
     found, _ = check(ahead, [name for name in names if name in ready], within, pool, tuple)
-    return tuple(each for each in found if each.code not in _OF_RECORD)
+    return keystore.of_second_keystore(session, (each for each in found if each.code not in _OF_RECORD))
 
 
 _OF_RECORD = frozenset({"record-missing", "key-missing"})
 """Codes of findings on what nobody records, or has, of a second keystore."""
-
-
-_INSTALLS = lazy_regex(r"'keymint (install|provision)")

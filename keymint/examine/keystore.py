@@ -8,11 +8,12 @@ of its sources. Each enclave has the list in force, which has all revocations an
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 
 from cryptography import x509
 
-from comarmor.text import first_few, hexadecimal, quantity
+from comarmor.text import first_few, hexadecimal, lazy_regex, quantity
 from comarmor.values import replace
 from keymint.api import LoadedPolicy, Phase
 from keymint.authority.authority_files import issuers
@@ -26,7 +27,7 @@ from keymint.life.terms import iso_time
 from keymint.life.workspace_register import complete_register, issuer_of, register_of
 from keymint.names import subject_of
 from keymint.pki import certificate_forms, certificates, revocation_lists
-from keymint.stages.proof_results import ProofEffort, ProofResults
+from keymint.stages.proof_results import EnclaveProof, ProofEffort, ProofResults
 from keymint.stages.prove import proofs
 from keymint.store import journal
 from keymint.workspace import installed_enclaves
@@ -233,11 +234,32 @@ def proven_keystore(
     if (ahead := staged_keystore_session(session)) is not None:
         ready = tuple(name for name in with_sources(ahead) if name in names)
         second = proofs(ahead, policy, effort, ready, lambda _: None, pool)
-        enclaves, shared = (*enclaves, *second.enclaves), (*shared, *second.shared)
+        ours = partial(_proof_of_second, session)
+        enclaves, shared = (*enclaves, *map(ours, second.enclaves)), (*shared, *map(ours, second.shared))
     outliving, is_whole = presented.outliving, presented.is_whole
     return replace(
         results, enclaves=enclaves, shared=shared, state=presented.state, outliving=outliving, is_whole=is_whole
     )
+
+
+INSTALLS = lazy_regex(r"'keymint (?:install|provision)[^']*'")
+"""A command, in the help of a finding, that writes the keystore in force."""
+
+
+def of_second_keystore(session: Session, found: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
+    """Return findings on a second keystore, with the command that writes that one in place of 'keymint install'."""
+    return tuple(replace(each, help=_staged_again(session, each.help)) for each in found)
+
+
+def _staged_again(session: Session, help_: str) -> str:
+    return INSTALLS.sub(f"'keymint authority replace {_staging(session)}'", help_)
+
+
+def _proof_of_second(session: Session, proof: EnclaveProof) -> EnclaveProof:
+    examples = [each.counterexample for each in proof.claims]
+    helped = [each and replace(each, help=_staged_again(session, each.help)) for each in examples]
+    claims = tuple(replace(each, counterexample=own) for each, own in zip(proof.claims, helped, strict=True))
+    return replace(proof, claims=claims, diagnostics=of_second_keystore(session, proof.diagnostics))
 
 
 UNFINISHED = "run-unfinished"

@@ -92,10 +92,7 @@ def replaced_rights(
                 said += [f"only the new ones to {_endpoint(gained)}"] if gained else []
                 if said:
                     message = f"the new signed rights differ from those that they replace: {'; '.join(said)}"
-                    help_ = (
-                        "if that was not intended, see whether the robots have "
-                        f"{session.profile.distro}, as <distro> says"
-                    )
+                    help_ = f"if unintended, see whether the robots have {session.profile.distro}, as <distro> says"
                     where = session.workspace.origin(folder)
                     yield Diagnostic.warning("rights-changed", message, where, help_, package.subject)
 

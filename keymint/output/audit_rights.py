@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from comarmor.patterns.glob import Glob, literal, parse
 from comarmor.patterns.relations import disjoint
-from comarmor.rules import of_raw_topic
+from comarmor.rules import Rule, of_raw_topic
 from comarmor.text import natural_order
 from keymint.analysis.query import PermissionHolder, effective_permissions, who_can
 from keymint.analysis.rule_lists import display_name, query_pattern
@@ -39,37 +39,49 @@ def rights_json(
         typed: returns a path as the user would type it.
     """
     found = [
-        {
-            "subject": subject,
-            "risks": list(_risks(rule.kind, permission, expression, rule.partitions, safety)),
-            "kind": rule.kind,
-            "permission": permission,
-            "expression": expression,
-            "partitions": rule.partitions,
-            "except": but,
-            "audit": rule.audit,
-            "library": library(rule.origin),
-            "rule": line_json(rule.origin, typed),
-        }
-        for subject in representatives(policy, _EVERYBODY)
-        for rule, permission, expression, but in effective_permissions(rules_of(policy, subject))
+        right | {"kind": rule.kind, "risks": list(_risks(rule, right, safety)), "library": library(rule.origin)}
+        for rule, right in subject_rights(policy, representatives(policy, _EVERYBODY), typed)
     ]
     return sorted(found, key=lambda each: (-_weight(each), *map(natural_order, (each["subject"], each["expression"]))))
+
+
+def subject_rights(
+    policy: LoadedPolicy, subjects: Iterable[str], typed: Typed = str
+) -> Iterator[tuple[Rule, dict[str, Any]]]:
+    """Yield each right of some subjects as JSON data, with its rule.
+
+    Args:
+        policy: the policy.
+        subjects: their names.
+        typed: returns a path as the user would type it [as it is].
+    """
+    for subject in subjects:
+        for rule, permission, expression, but in effective_permissions(rules_of(policy, subject)):
+            yield (
+                rule,
+                {
+                    "subject": subject,
+                    "permission": permission,
+                    "expression": expression,
+                    "partitions": rule.partitions,
+                    "except": but,
+                    "audit": rule.audit,
+                    "rule": line_json(rule.origin, typed),
+                },
+            )
 
 
 def _weight(right: Mapping[str, Any]) -> int:
     return sum(RISKS[each] for each in right["risks"])
 
 
-def _risks(
-    kind: str, permission: str, expression: str, partitions: Sequence[str], safety: Sequence[Glob]
-) -> Iterator[str]:
-    pattern = parse(expression)
+def _risks(rule: Rule, right: Mapping[str, Any], safety: Sequence[Glob]) -> Iterator[str]:
+    pattern = parse(right["expression"])
     if any(not disjoint(pattern, each) for each in safety):
         yield "safety"
-    if any(literal(each) is None for each in (pattern, *map(parse, partitions))):
+    if any(literal(each) is None for each in (pattern, *map(parse, rule.partitions))):
         yield "wildcard"
-    if kind == "ros_parameter" or (permission == "ros_call" and "parameter" in expression):
+    if rule.kind == "ros_parameter" or (right["permission"] == "ros_call" and "parameter" in right["expression"]):
         yield "parameters"
 
 

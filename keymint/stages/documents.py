@@ -96,7 +96,7 @@ def refuse_edits(inputs: Inputs, name: str, existing: Mapping[str, bytes | None]
         if content is None or inputs.state.wrote(BUILD, name, file, content):
             continue
         where = inputs.workspace.origin(documents_folder(inputs, name) / file)
-        message, help_, code = "was edited by hand, and its sources changed too", "discards the edit", HAND_EDITED
+        message, help_, code = "was edited by hand, so nothing is built in its place", "discards the edit", HAND_EDITED
         if not shared_type(name) and inputs.state.stamp(BUILD, name) is None:
             message = "is not from a build of this workspace, and differs from what its sources give"
             help_, code = "replaces it", "build-foreign"

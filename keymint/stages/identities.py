@@ -67,19 +67,19 @@ def is_awaited(package: Package) -> bool:
 
 def unknown_key(package: Package) -> Diagnostic:
     """Return the finding on a package whose public key is not known here."""
-    message = (
-        f"the key of {package.subject} lies in a token, and its public key is not known here: no certificate is issued"
-    )
+    message = f"the key of {package.subject} lies in a token; without its public key, no certificate is issued"
     help_ = "run 'keymint request --pkcs11 …' on the machine that has the token, then 'keymint sign' here"
     return Diagnostic.warning("key-unknown", message, package.identity.origin, help_, package.subject)
 
 
-def missing_enclave(session: Session, package: Package, folder: str) -> Diagnostic:
-    """Return the finding on a package without an enclave, of which ``folder`` is shown.
+def missing_enclave(session: Session, package: Package) -> Diagnostic:
+    """Return the finding on a package without an enclave; before the robot's request nothing can be installed.
 
-    Before the robot's request nothing can be installed.
+    Raises:
+        KeymintError: the register has defects.
     """
-    missing = not_installed(package.name, folder, withdrawn(session).get(package.name, ""))
+    folder, reason = session.enclave_folder(package.name), withdrawn(session).get(package.name, "")
+    missing = not_installed(package.name, session.workspace.shown(folder), reason)
     return replace(missing, help=unknown_key(package).help) if is_awaited(package) else missing
 
 

@@ -17,6 +17,7 @@ from keymint.life.workspace_register import register_of, withdrawn
 from keymint.names import name_of, subject_of
 from keymint.stages import build, create, install
 from keymint.stages.documents import built_documents, installed_shared, is_built
+from keymint.stages.identities import missing_enclave
 from keymint.stages.work import InstallRequest
 from keymint.store.changes import Plan
 from keymint.view.stamps import Stamp, State, stamp_of
@@ -207,16 +208,11 @@ def _require_certified(session: Session, name: str, there: Collection[str], *, r
     """
     if reason := register_of(session).withdrawn(name):
         if not rekey:
-            message = (
-                f"the certificate of {subject_of(name)} was revoked ({reason}), and nothing is issued for its key again"
-            )
+            message = f"the certificate of {subject_of(name)} was revoked ({reason}); no other is issued for its key"
             help_ = f"'keymint renew --rekey {name}' makes a new key"
             raise KeymintError(message, where=session.issuance_place(name), help=help_, code="key-barred")
     elif name not in there and not (rekey and register_of(session).of(name)):  # an enclave that was lost gets a new key
-        message = f"the enclave {subject_of(name)} is not installed, so there is nothing to renew"
-        where = session.workspace.origin(session.enclave_folder(name))
-        help_ = f"run 'keymint build {name}' and 'keymint install {name}'"
-        raise KeymintError(message, where=where, help=help_, code="enclave-missing")
+        raise KeymintError.of([missing_enclave(session, session.package(name))])
 
 
 def _require_same(session: Session, name: str) -> Mapping[str, Stamp]:

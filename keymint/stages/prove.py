@@ -313,7 +313,7 @@ class ProofStage(PackageStage):
     ) -> EnclaveProof:
         subject = package.subject
         if not files:
-            missing = missing_enclave(self._session, package, folder)
+            missing = missing_enclave(self._session, package)
             return EnclaveProof(package.name, subject, diagnostics=(replace(missing, severity=Severity.ERROR),))
         claims: list[api.Claim] = []
         validity: list[api.ValidityTerm] = []

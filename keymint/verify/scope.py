@@ -10,13 +10,14 @@ from operator import attrgetter
 from pathlib import Path
 from typing import TypeVar
 
-from comarmor.text import did_you_mean
+from comarmor.text import did_you_mean, first_few
 from comarmor.values import Data, replace
 from keymint.api import BuildType, InstalledEnclave, LoadedPolicy, Package, Role, Transport
 from keymint.api.graph import LABELLED, Column, Edge, Graph, Object, column
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.names import subject_of
+from keymint.stages.identities import missing_enclave
 from keymint.verify import probes
 from keymint.verify.endpoint_policy import RAW, EdgeRow, EdgeRows, Naming
 from keymint.workspace.installed_enclaves import enclave_names
@@ -97,11 +98,10 @@ def installed_scopes(
     if not chosen:
         raise KeymintError("there is no package to verify", help="run 'keymint create --all'", code="packages-none")
     there = set(enclave_names(session))
-    missing = [name for name in names if name in chosen and name not in there]
-    if missing:
-        shown = ", ".join(subject_of(name) for name in missing[:5]) + (" …" if len(missing) > 5 else "")  # noqa: PLR2004
-        help_ = "run 'keymint build' and 'keymint install'"
-        raise KeymintError(f"no enclave of {shown} is installed", help=help_, code="enclave-missing")
+    if missing := [name for name in chosen if name not in there]:
+        message = f"no enclave of {first_few([*map(subject_of, missing)])} is installed"
+        help_ = missing_enclave(session, chosen[missing[0]]).help
+        raise KeymintError(message, help=help_, code="enclave-missing")
     packages = {package.subject: package for package in chosen.values()}
     install = session.workspace.install
     enclaves = {

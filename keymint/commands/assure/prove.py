@@ -80,7 +80,8 @@ def prove(
     unexamined, with_register = tuple(keystore.not_examined(session)), has_register(session)
     _summary(run, results, with_register=with_register)
     ahead = keystore.staged_keystore_session(session)
-    more = dict.fromkeys((*keystore.deciding_findings(session), *(keystore.deciding_findings(ahead) if ahead else ())))
+    beside = keystore.of_second_keystore(session, keystore.deciding_findings(ahead)) if ahead else ()
+    more = dict.fromkeys((*keystore.deciding_findings(session), *beside))
     found = (*proof_findings(session, results, strict=strict), *more, *unknown)
     diagnostics = [*_assumptions(results), *found, *unrecorded, *unexamined]
     in_force = _until(results) is not None and (with_register or None)

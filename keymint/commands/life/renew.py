@@ -20,11 +20,12 @@ from keymint.life.terms import Threshold, iso_time
 from keymint.life.workspace_register import with_enclaves
 from keymint.names import subject_list, subject_of
 from keymint.run.run import exit_code_of
+from keymint.stages.documents import built_documents, refuse_edits
 from keymint.stages.package_status import packages_of, refuse_new_authorities, renewable_packages
 from keymint.stages.pipeline import Request, conduct, updated_packages
 from keymint.stages.rollover_phases import DEFERRED, STAGE, in_step
 from keymint.stages.work import InstallRequest, Work
-from keymint.store.changes import Plan
+from keymint.store.changes import Action, Plan
 from keymint.workspace.session import Session
 
 NOT_HERE = "authority-key-missing"
@@ -129,6 +130,9 @@ def _renewal(run: Run, session: Session, due: Schedule, *, rekey: bool, prove: b
             if not alone or not defective:
                 raise KeymintError.of(tuple(dict.fromkeys(errors))) from error
             names = [name for name in names if name not in defective]
+    for step in plan.steps if not alone else ():  # on the day of issue, when its sources do not change
+        if step.action is Action.KEPT and step.package:
+            refuse_edits(session, step.package, built_documents(session, step.package))
     findings = [*requests, *map(_authority_due, due.authorities)]
     plan = in_step(run.crew, session, plan.noting(*findings, *dict.fromkeys(errors)))
     after = session.after(plan)

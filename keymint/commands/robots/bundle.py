@@ -17,7 +17,7 @@ from keymint.authority.rollover import phase_of
 from keymint.command_line.named_files import told_written, user_path, write_outputs
 from keymint.command_line.options import Names, bundle_output_option, names_group
 from keymint.command_line.verb import Report, Run, flag, verb
-from keymint.errors import Diagnostic, KeymintError, Origin, require_none, usage_error
+from keymint.errors import Diagnostic, KeymintError, Origin, Severity, require_none, usage_error
 from keymint.examine.keystore import of_enclaves
 from keymint.life.terms import iso_time
 from keymint.life.workspace_register import complete_register, register_change, withdrawn
@@ -27,6 +27,7 @@ from keymint.pki import certificates, revocation_lists
 from keymint.robots import bundle as bundles
 from keymint.robots.bundle import CERTIFICATE, KEY, Manifest
 from keymint.robots.certification_request import CertificationRequest
+from keymint.stages.identities import missing_enclave
 from keymint.stages.install import is_current, would_stay
 from keymint.stages.rollover_phases import require_staged, session_ahead
 from keymint.store.changes import Plan
@@ -92,15 +93,12 @@ def _in_force(session: Session, names: Collection[str]) -> Mapping[str, MintedAu
     plan, authorities = plan_authorities(session)
     after = session.after(plan)
     for name in names:
-        if reason := withdrawn(session).get(name):
-            message = f"the certificate of {subject_of(name)} was revoked ({reason}), and its enclave removed"
-            help_ = f"'keymint renew --rekey {name}' makes a new key, or 'keymint sign' certifies one of its robot"
-            raise KeymintError(message, help=help_, code="identity-revoked")
+        missing = missing_enclave(session, session.package(name))
+        if name in withdrawn(session):
+            raise KeymintError.of([replace(missing, severity=Severity.ERROR)])
         if plan.writes() or not (is_current(after, name) or would_stay(after, name, authorities)):
             message = f"the enclave {subject_of(name)} is not installed as its sources and authorities are now"
-            help_ = f"run 'keymint build {name}' and 'keymint install {name}' first"
-            where = session.workspace.origin(session.enclave_folder(name))
-            raise KeymintError(message, where=where, help=help_, code="not-installed")
+            raise KeymintError.of([replace(missing, message=message, code="not-installed")])
     require_none(each for each in of_enclaves(after) if each.subject in set(map(subject_of, names)))
     return authorities
 
@@ -236,9 +234,7 @@ def _bundle(
     # The robot has the key that it asks a certificate for.
     files = {file: data for file, data in contents.items() if data is not None and not (request and file == KEY)}
     if CERTIFICATE not in files:
-        message = f"the enclave {subject_of(name)} is not installed"
-        help_ = f"run 'keymint install {name}'"
-        raise KeymintError(message, where=session.workspace.origin(folder), help=help_, code="not-installed")
+        raise KeymintError.of([replace(missing_enclave(session, package), code="not-installed")])
     issuer = authorities[package.identity.issuer].issuer
     certificate = certificates.load(files[CERTIFICATE], session.workspace.origin(folder / CERTIFICATE))
     first, last = _period(package, certificate, files)

@@ -6,11 +6,13 @@ from __future__ import annotations
 import click
 
 from comarmor.text import did_you_mean
+from comarmor.values import replace
 from keymint.command_line.verb import Report, Run, argument, option, verb
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, Severity
 from keymint.names import package_name, subject_of
 from keymint.stages.create import other_domain
 from keymint.stages.environment_scripts import SHELLS, enclave_environment, exports
+from keymint.stages.identities import missing_enclave
 from keymint.workspace.installed_enclaves import enclave_names
 
 
@@ -38,8 +40,8 @@ def env(
     name, known = package_name(enclave), enclave_names(session)
     where, subject = session.workspace.origin(session.enclaves), subject_of(name)
     if name not in known and name in session.packages():
-        message = f"the enclave {subject} is not installed"
-        raise KeymintError(message, where=where, help=f"run 'keymint install {name}'", code="not-installed")
+        missing = missing_enclave(session, session.package(name))
+        raise KeymintError.of([replace(missing, severity=Severity.ERROR, code="not-installed")])
     if name not in known:
         help_ = did_you_mean(subject, [subject_of(each) for each in known], "'keymint status' lists them")
         raise KeymintError(f"there is no enclave {subject}", where=where, help=help_, code="enclave-unknown")

@@ -16,7 +16,7 @@ from comarmor.rules import PERMISSIONS, Effect, of_raw_topic
 from comarmor.text import did_you_mean, first_few, nearest_word, quantity
 from comarmor.values import Data, replace
 from keymint.analysis.channels import Channel, ChannelSearch
-from keymint.analysis.query import FORMS, HEADS, PermissionHolder, effective_permissions, who_can
+from keymint.analysis.query import FORMS, HEADS, PermissionHolder, who_can
 from keymint.analysis.rule_lists import allow_only, display_name, find_permitted, query_pattern
 from keymint.analysis.subject_patterns import representatives, rules_of, unknown_subject, with_distinct_rules
 from keymint.api import LoadedPolicy
@@ -25,8 +25,7 @@ from keymint.command_line.options import PolicyOptions, kind_option, policy_opti
 from keymint.command_line.verb import Report, Run, argument, findings_if, flag, option, verb
 from keymint.errors import Diagnostic, usage_error
 from keymint.names import RAW, typed_permission, typed_subject
-from keymint.output.audit_rights import holder_json
-from keymint.output.json import line_json
+from keymint.output.audit_rights import holder_json, subject_rights
 from keymint.output.report import members
 
 _OPTIONAL = "[ever]"
@@ -253,21 +252,12 @@ def _what(run: Run, policy: LoadedPolicy, question: _Question) -> _Answer:
     subjects = representatives(policy, parse(asked))
     abilities: list[dict[str, Any]] = []
     shown: list[dict[str, Any]] = []
-    for subject in subjects:
-        for rule, permission, expression, but in effective_permissions(rules_of(policy, subject)):
-            ability = {
-                "subject": subject,
-                "permission": permission,
-                "expression": expression,
-                "partitions": rule.partitions,
-                "except": but,
-                "audit": rule.audit,
-                "rule": line_json(rule.origin),
-            }
-            abilities.append(ability)
-            objects = expression + "".join(f" in partition {one!r}" for one in rule.partitions)
-            objects += (f" but {', '.join(but)}" if but else "") + ("  AUDIT" if rule.audit else "")
-            shown.append(ability | {"objects": objects, "place": run.place(rule.origin)})
+    for rule, ability in subject_rights(policy, subjects):
+        abilities.append(ability)
+        objects = ability["expression"] + "".join(f" in partition {one!r}" for one in rule.partitions)
+        objects += f" but {', '.join(ability['except'])}" if ability["except"] else ""
+        objects += "  AUDIT" if rule.audit else ""
+        shown.append(ability | {"objects": objects, "place": run.place(rule.origin)})
     if shown:
         columns = {"SUBJECT": "subject"} if len(subjects) > 1 else {}
         run.console.table(columns | {"PERMISSION": "permission", "OBJECTS": "objects", "RULE": "place"}, shown)

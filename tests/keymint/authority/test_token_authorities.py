@@ -290,9 +290,10 @@ def test_a_robot_that_made_no_request_yet_keeps_nobody_waiting(keymint, policy: 
         assert (outcome.code, outcome.codes()) == (0, ["key-unknown"])
     assert not (ws / "install/enclaves/talker").exists()
     assert (ws / "install/enclaves/robot1/listener/cert.pem").exists()
-    for words in (("check",), ("prove", "talker")):
+    lines = ("check",), ("prove", "talker"), ("verify", "-t", "omg"), ("env", "/talker"), ("bundle", "talker")
+    for words in lines:
         told = keymint(*words, "--json", cwd=ws).document["diagnostics"]
-        (missing,) = (each for each in told if each["code"] == "enclave-missing")
+        (missing,) = (each for each in told if each["code"] in {"enclave-missing", "not-installed"})
         assert "'keymint request" in missing["help"], words
     assert keymint("build", "--rekey", "talker", "--json", cwd=ws).codes() == ["key-elsewhere"]
     assert keymint("build", "-f", cwd=ws).code == 0

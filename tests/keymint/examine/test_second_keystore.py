@@ -85,6 +85,25 @@ def test_a_fault_in_it(keymint, staged: Path, fault: Callable[[Path], None], ver
     assert any("install.next" in f"{each['file']} {each['message']}" for each in found["check"])
 
 
+def open_governance(ws: Path) -> None:
+    store = keystore(ws)
+    governance = store.governance("install.next")
+    for rule in governance.iter("allow_unauthenticated_participants"):
+        rule.text = "true"
+    store.sign_governance([TALKER], governance, "install.next")
+
+
+@pytest.mark.parametrize("fault", [missing_certificate, permissions_of_another, grant_for_another, open_governance])
+def test_a_finding_names_the_command_that_writes_it(keymint, staged: Path, fault: Callable[[Path], None]) -> None:
+    """'keymint install' writes the keystore in force only."""
+    fault(staged)
+    helps = [str(each["help"]) for verb in VERBS for each in findings(keymint, staged, verb)]
+    assert any("'keymint authority replace permissions_ca" in each for each in helps)
+    assert not [each for each in helps if "keymint install" in each]
+    assert keymint("authority", "replace", "permissions_ca", "-w", staged).code == 0
+    assert {verb: codes(keymint, staged, verb) for verb in VERBS} == dict.fromkeys(VERBS, set())
+
+
 @pytest.mark.parametrize("fault", [missing_enclave, missing_keystore])
 def test_what_it_lacks_is_completed_by_the_command_that_the_finding_names(
     keymint, staged: Path, fault: Callable[[Path], None]

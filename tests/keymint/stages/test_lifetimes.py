@@ -117,3 +117,9 @@ def test_dates_that_were_edited_by_hand_count_as_they_are_signed(keymint: Callab
     assert "<grant" in document.read_text().splitlines()[line - 1]
     assert keymint("prove", "-w", provisioned).code == 3
     assert keymint("check", "-w", provisioned).code == 3
+    refused = keymint("renew", "talker", "-w", provisioned, "--json")
+    assert (refused.code, refused.codes()) == (1, ["hand-edited"])
+    assert "'keymint build -f talker -w" in refused.document["diagnostics"][0]["help"]
+    assert keymint("build", "-f", "talker", "-w", provisioned).code == 0
+    assert keymint("renew", "talker", "-w", provisioned).code == 0
+    assert keymint("check", "-w", provisioned).code == 0

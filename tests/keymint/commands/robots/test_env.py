@@ -88,6 +88,16 @@ def test_one_that_is_not_installed(keymint, ws: Path) -> None:
     assert outcome.document["diagnostics"][0]["help"] == "run 'keymint install talker -w ws'"
 
 
+def test_one_that_was_revoked(keymint, ws: Path) -> None:
+    """'keymint install' gives it nothing."""
+    assert keymint("revoke", "talker", "--reason", "key-compromise", "-w", "ws").code == 0
+    outcome = keymint("env", "/talker", "-w", "ws", "--json")
+    assert (outcome.code, outcome.codes()) == (1, ["not-installed"])
+    assert "'keymint renew --rekey talker -w ws'" in outcome.document["diagnostics"][0]["help"]
+    assert keymint("renew", "--rekey", "talker", "-w", "ws").code == 0
+    assert keymint("env", "/talker", "-w", "ws").code == 0
+
+
 def test_it_writes_nothing(keymint, ws: Path) -> None:
     before = snapshot(ws)
     assert keymint("env", "/talker", "-w", "ws").code == 0
