@@ -101,7 +101,7 @@ def test_a_finding_names_the_command_that_writes_it(keymint, staged: Path, fault
     assert any("'keymint authority replace permissions_ca" in each for each in helps)
     assert not [each for each in helps if "keymint install" in each]
     assert keymint("authority", "replace", "permissions_ca", "-w", staged).code == 0
-    assert {verb: codes(keymint, staged, verb) for verb in VERBS} == dict.fromkeys(VERBS, set())
+    assert not any(codes(keymint, staged, verb) for verb in VERBS)
 
 
 @pytest.mark.parametrize("fault", [missing_enclave, missing_keystore])
