@@ -64,10 +64,7 @@ def _refused(package: Package) -> Iterator[_Defect]:
         needed = f"{'IP' if is_address(host) else 'DNS'}:{host}"
         for extension, names in _listed(package, "subjectAltName"):
             if not any(_same_name(name, needed) for name in names):
-                message = (
-                    f"the certificate's subjectAltName lacks the router's host {host!r}, so that no session connects "
-                    "to it"
-                )
+                message = f"its subjectAltName lacks the router's host {host!r}, so no session connects to it"
                 yield "zenoh-host-name", message, extension.origin, f"add {needed}, or leave out the extension"
 
 

@@ -98,7 +98,9 @@ def _in_force(session: Session, names: Collection[str]) -> Mapping[str, MintedAu
             raise KeymintError.of([replace(missing, severity=Severity.ERROR)])
         if plan.writes() or not (is_current(after, name) or would_stay(after, name, authorities)):
             message = f"the enclave {subject_of(name)} is not installed as its sources and authorities are now"
-            raise KeymintError.of([replace(missing, message=message, code="not-installed")])
+            help_ = f"run 'keymint build {name}' and 'keymint install {name}' first"
+            found = replace(missing, message=message, help=help_) if name in enclave_names(after) else missing
+            raise KeymintError.of([replace(found, code="not-installed")])
     require_none(each for each in of_enclaves(after) if each.subject in set(map(subject_of, names)))
     return authorities
 

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 import stat
 from pathlib import Path
 from typing import Any
@@ -127,6 +129,20 @@ def test_what_is_not_installed_as_it_should_be_does_not_leave(keymint, ws: Path,
     # The documents that are installed are those that are built: the owner decides when to build again.
     assert keymint("bundle", "talker", "-w", "ws", "--json").codes() == ["not-installed"]
     assert not (tmp_path / "talker.bundle").exists()
+
+
+@pytest.mark.parametrize("is_there", [True, False])
+def test_the_commands_that_the_refusal_names_lead_to_a_bundle(keymint, ws: Path, is_there: bool) -> None:
+    dates = ws / "profile/package.defaults/permissions.xml"
+    dates.write_text(re.sub("<not_after>[^<]*<", "<not_after>2027-12-01T00:00:00<", dates.read_text()))
+    if not is_there:
+        shutil.rmtree(ws / "install/enclaves/talker")
+        assert keymint("build", "talker", "-w", "ws").code == 0
+    (refused,) = keymint("bundle", "talker", "-w", "ws", "--json").document["diagnostics"]
+    assert (refused["code"], "'keymint build" in refused["help"]) == ("not-installed", is_there)
+    for command in re.findall("'keymint ([^']*)'", refused["help"]):
+        assert keymint(*command.split()).code == 0
+    assert keymint("bundle", "talker", "-w", "ws").code == 0
 
 
 def test_an_enclave_without_the_list_that_changed(keymint, policy: Path, tmp_path: Path) -> None:
