@@ -200,23 +200,28 @@ def same_attributes(grant: str, identity: str) -> bool:
 
 
 def _attributes(name: str) -> list[tuple[str, str]]:
-    """Return the types and values of a name, up to the first part that is no attribute; ``+`` separates as ``,``."""
+    """Return the types and values of a name, up to the first part that is no attribute.
+
+    As in ``find_and_add_type_values``, what is empty before a separator is all that follows: ``OU=,CN=/a`` has the
+    value ``,CN=/a`` for ``OU``.
+    """
     found: list[tuple[str, str]] = []
     rest, more = name, True
     while more and len(found) < MAX_TOKENS:
-        kind, rest, is_attribute = _cut(rest, "=")
+        kind, after, is_attribute = _cut(rest.lstrip(" "), "=")
         if not is_attribute:
             break
-        value, rest, more = _cut(rest, ",+")
-        found.append((_unquoted(kind), _unquoted(value)))
+        value, following, more = _cut(after, ",")
+        found.append((_unquoted(kind or rest), _unquoted(value or after)))
+        rest = following
     return found
 
 
-def _cut(text: str, marks: str) -> tuple[str, str, bool]:
+def _cut(text: str, mark: str) -> tuple[str, str, bool]:
     """Return what stands before and after the first mark outside of quotes and escapes, and whether there is one."""
     quoted = escaped = False
     for at, char in enumerate(text):
-        if char in marks and not quoted and not escaped:
+        if char == mark and not quoted and not escaped:
             return text[:at], text[at + 1 :], True
         quoted ^= char == '"' and not escaped
         escaped = char == "\\" and not escaped
@@ -234,7 +239,7 @@ def tokens(name: str) -> frozenset[str]:
 
 def required_tokens(identity: str) -> frozenset[str]:
     """Return the words that each grant for an identity has, unless that is odd, or the identity has a type twice."""
-    return tokens(re.sub(r"[^,/|+=]*=", ",", identity))
+    return tokens(re.sub(r'["\\]', "", re.sub(r"[^,/|+=]*=", ",", identity)))
 
 
 def is_odd(grant: str) -> bool:

@@ -55,8 +55,21 @@ NAMES_OF_TWICE = {
     "CN=/other,CN=/other": (),
 }
 """The same for a certificate with two common names."""
-BROADER = {"CN=/talker+OU=1", "CN=/talker,CN=/other", "CN=/other,CN=/other"}
-"""Names that the model of Fast DDS 3 takes, while the real one does not: it permits more."""
+PLUS = ((NameOID.COMMON_NAME, "/a+OU=x"),)
+NAMES_OF_PLUS = {"CN=/a+OU=x": (NEW,), r"CN=/a\+OU=x": (OLD, NEW), "CN=/a,OU=x": ()}
+COMMA = ((NameOID.ORGANIZATIONAL_UNIT_NAME, "x"), (NameOID.COMMON_NAME, ",OU=x"))
+NAMES_OF_COMMA = {"CN=,OU=x": (NEW,), r"CN=\,OU=x,OU=x": (OLD, NEW)}
+OTHER = ((NameOID.ORGANIZATION_NAME, "b"), (NameOID.COMMON_NAME, "/a"))
+NAMES_OF_OTHER = {"OU=,CN=/a": (), "CN=/a,OU=": (NEW,), "=,CN=/a": (), "CN=/a,=": (NEW,), "CN=/a,O=b": (OLD, NEW)}
+"""The same for names with separators in a value, and for empty values and types in the grant's."""
+CERTIFICATES = {
+    "CN=/talker,OU=1": (TALKER, NAMES),
+    "CN=/talker,CN=/other": (TWICE, NAMES_OF_TWICE),
+    r"CN=/a\+OU=x": (PLUS, NAMES_OF_PLUS),
+    r"CN=\,OU=x,OU=x": (COMMA, NAMES_OF_COMMA),
+    "CN=/a,O=b": (OTHER, NAMES_OF_OTHER),
+}
+"""The subject of a certificate, in RFC 4514: its RDNs, and the names of grants."""
 
 
 def created(vendor: Vendor, folder: Path) -> bool:
@@ -82,7 +95,7 @@ def accepted(vendor: Vendor, cache: Path, listener: Path, holder: Path, document
 
 
 @on_each_fastdds
-@pytest.mark.parametrize(("rdns", "names"), [(TALKER, NAMES), (TWICE, NAMES_OF_TWICE)], ids=["talker", "two CNs"])
+@pytest.mark.parametrize(("rdns", "names"), CERTIFICATES.values(), ids=CERTIFICATES)
 def test_names_of_grants(
     authorities: Authorities, vendor: Vendor, probe_cache: Path, tmp_path: Path, rdns: tuple, names: dict
 ) -> None:
@@ -101,6 +114,6 @@ def test_the_models_take_the_same_names(version: str, model: str) -> None:
     if model not in VARIATIONS:
         pytest.skip(f"there is no model {model}")
     selects = VARIATIONS[model].semantics.selects
-    for identity, names in (("CN=/talker,OU=1", NAMES), ("CN=/talker,CN=/other", NAMES_OF_TWICE)):
+    for identity, (_, names) in CERTIFICATES.items():
         for name, takers in names.items():
-            assert selects(name, identity) == (version in takers) or (version == NEW and name in BROADER), name
+            assert selects(name, identity) == (version in takers), name
