@@ -8,6 +8,7 @@ and in :mod:`keymint.pki.distinguished_names`.
 from __future__ import annotations
 
 import re
+from itertools import takewhile
 
 from cryptography import x509
 
@@ -183,8 +184,12 @@ def _split(name: str) -> list[str]:
 
 
 def same_text(grant: str, identity: str) -> bool:
-    """Compare as Fast DDS 2.9: split at ``,``; the parts must be equal, ignoring blanks around them."""
-    return [part.strip(" ") for part in grant.split(",")] == [part.strip(" ") for part in identity.split(",")]
+    """Compare as Fast DDS 2.9: split at ``,``; the parts before the first empty one are equal, but for blanks around.
+
+    So ``CN=/a,,OU=x`` is for ``CN=/a`` (``rfc2253_string_compare`` in ``Permissions.cpp``; measured on 2.9.1).
+    """
+    own, other = ([part.strip(" ") for part in takewhile(bool, name.split(","))] for name in (identity, grant))
+    return own == other
 
 
 def same_attributes(grant: str, identity: str) -> bool:

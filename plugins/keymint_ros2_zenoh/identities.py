@@ -48,10 +48,7 @@ def _refused(package: Package) -> Iterator[_Defect]:
     signed = [identity, *(authority.certificate for authority in package.issuers)]
     for certificate, authority in zip(signed, package.issuers, strict=False):
         if authority.certificate.key.algorithm == "ec" and certificate.hash_algorithm == "SHA512":
-            message = (
-                f"the authority {authority.name!r} has an EC key and signs this certificate with SHA512, which Zenoh "
-                "refuses"
-            )
+            message = f"the authority {authority.name!r} has an EC key, and Zenoh refuses its signature with SHA512"
             yield "zenoh-key-hash", message, certificate.origin, "use SHA256 or SHA384"
     needed = _SERVER if is_router(package) else _CLIENT
     for extension, usages in _listed(package, "extendedKeyUsage"):

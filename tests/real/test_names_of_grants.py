@@ -47,6 +47,11 @@ NAMES = {
     "CN=/talker;OU=1": (),
     r"CN=\2Ftalker,OU=1": (),
     "/OU=1/CN=/talker": (),
+    "CN=/talker,OU=1,": (OLD, NEW),
+    "CN=/talker,OU=1,,x": (OLD, NEW),
+    "CN=/talker,OU=1,,CN=/other": (OLD,),
+    "CN=/talker,,OU=1": (),
+    ",CN=/talker,OU=1": (),
 }
 """Names of grants for the certificate of /talker, and the versions that take them."""
 NAMES_OF_TWICE = {
@@ -70,6 +75,8 @@ CERTIFICATES = {
     "CN=/a,O=b": (OTHER, NAMES_OF_OTHER),
 }
 """The subject of a certificate, in RFC 4514: its RDNs, and the names of grants."""
+ODD = "DistinguishedName "
+"""How Fast DDS begins to complain of the form of a name, which decides nothing yet."""
 
 
 def created(vendor: Vendor, folder: Path) -> bool:
@@ -87,7 +94,8 @@ def accepted(vendor: Vendor, cache: Path, listener: Path, holder: Path, document
         reader = system.open(listener).edge("subscribe", "rt/x")
         system.open(holder, conforming=False).edge("publish", "rt/x").write("hello")
         try:
-            refused = await_rejection(reader, 10.0)
+            while (refused := await_rejection(reader, 10.0)) and refused.startswith(ODD) and "; " not in refused:
+                pass
         except MatchedError:
             return reader.read() == "hello"
     assert refused, "neither matched nor refused in time"

@@ -136,6 +136,7 @@ SPELLINGS: dict[str, tuple[Callable[[str, str], str], str]] = {
     "quotes and order": (lambda cn, ou: f'OU="{ou}",CN="{cn}"', "fastdds-2.11"),
     "order and blanks": (lambda cn, ou: f"OU={ou}, CN={cn}", "fastdds-2.11"),
     "a backslash": (lambda cn, ou: f"CN=\\{cn},OU={ou}", "fastdds-2.11"),
+    "a comma at the end": (lambda cn, ou: f"CN={cn},OU={ou},", "cyclonedds, fastdds-2.9, fastdds-2.11"),
     "leading blank": (lambda cn, ou: f" CN={cn},OU={ou}", "cyclonedds, fastdds-2.11"),
 }
 """Spellings of a name that Fast DDS takes for the same from 2.11 on, which compares attributes."""
