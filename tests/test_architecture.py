@@ -124,7 +124,7 @@ def test_one_module_adds_a_plan_and_takes_it_into_account() -> None:
 # They may fall and never rise, and are counted as ``benchmarks/house.py`` does. Whoever lowers a number lowers its
 # budget. A change that must raise one says why in its commit.
 FILES_IN_A_FOLDER, FILES_IN_KEYMINT = 20, 8
-CODE_LINES, DATA_TYPES, PROTOCOLS = 46_597, 344, 0
+CODE_LINES, DATA_TYPES, PROTOCOLS = 46_596, 344, 0
 IMPORTED = {"--version": 12, "provision": 178, "status": 133}
 CONDUCTORS, JUDGES, DOUBLED_NAMES, BARE_NAMES = 1, 0, 0, 0
 
