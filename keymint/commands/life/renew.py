@@ -131,7 +131,7 @@ def _renewal(run: Run, session: Session, due: Schedule, *, rekey: bool, prove: b
                 raise KeymintError.of(tuple(dict.fromkeys(errors))) from error
             names = [name for name in names if name not in defective]
     for step in plan.steps if not alone else ():  # on the day of issue, when its sources do not change
-        if step.action is Action.KEPT and step.package:
+        if step.action is Action.KEPT and step.package in names:
             refuse_edits(session, step.package, built_documents(session, step.package))
     findings = [*requests, *map(_authority_due, due.authorities)]
     plan = in_step(run.crew, session, plan.noting(*findings, *dict.fromkeys(errors)))

@@ -93,12 +93,12 @@ def _in_force(session: Session, names: Collection[str]) -> Mapping[str, MintedAu
     plan, authorities = plan_authorities(session)
     after = session.after(plan)
     for name in names:
-        missing = missing_enclave(session, session.package(name))
         if name in withdrawn(session):
-            raise KeymintError.of([replace(missing, severity=Severity.ERROR)])
+            raise KeymintError.of([replace(missing_enclave(session, session.package(name)), severity=Severity.ERROR)])
         if plan.writes() or not (is_current(after, name) or would_stay(after, name, authorities)):
             message = f"the enclave {subject_of(name)} is not installed as its sources and authorities are now"
             help_ = f"run 'keymint build {name}' and 'keymint install {name}' first"
+            missing = missing_enclave(session, session.package(name))
             found = replace(missing, message=message, help=help_) if name in enclave_names(after) else missing
             raise KeymintError.of([replace(found, code="not-installed")])
     require_none(each for each in of_enclaves(after) if each.subject in set(map(subject_of, names)))

@@ -139,7 +139,7 @@ SPELLINGS: dict[str, tuple[Callable[[str, str], str], str]] = {
     "a comma at the end": (lambda cn, ou: f"CN={cn},OU={ou},", "cyclonedds, fastdds-2.9, fastdds-2.11"),
     "leading blank": (lambda cn, ou: f" CN={cn},OU={ou}", "cyclonedds, fastdds-2.11"),
 }
-"""Spellings of a name that Fast DDS takes for the same from 2.11 on, which compares attributes."""
+"""Spellings of a name that a vendor takes for the same, most of them Fast DDS from 2.11 on: it compares attributes."""
 
 
 def _spellings() -> Iterator[Fault]:

@@ -120,6 +120,7 @@ def test_dates_that_were_edited_by_hand_count_as_they_are_signed(keymint: Callab
     refused = keymint("renew", "talker", "-w", provisioned, "--json")
     assert (refused.code, refused.codes()) == (1, ["hand-edited"])
     assert "'keymint build -f talker -w" in refused.document["diagnostics"][0]["help"]
+    assert keymint("renew", "robot1/listener", "-w", provisioned).code == 0
     assert keymint("build", "-f", "talker", "-w", provisioned).code == 0
     assert keymint("renew", "talker", "-w", provisioned).code == 0
     assert keymint("check", "-w", provisioned).code == 0
