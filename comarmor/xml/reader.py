@@ -45,7 +45,7 @@ class Limits(Data):
     total_bytes: int = 64 * 2**20
     depth: int = 64
     tag_bytes: int = 2**20
-    parts: int = 1_200_000
+    parts: int = 1_100_000
     nodes: int = 1_000_000
     include_depth: int = 16
     inclusions: int = 50_000

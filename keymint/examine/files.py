@@ -267,13 +267,15 @@ def outside_enclaves(session: Session, within: timedelta) -> Iterator[Diagnostic
     files = [path for path, is_folder in entries if not is_folder]
     outside = [path for path in files if path.rpartition("/")[0] not in enclaves]
     expected = _copies(session, names, outside)
-    all_revoked = not names and withdrawn(session)
+    revoked = () if names else tuple(withdrawn(session))
     own_scripts = environment_scripts.scripts(
-        session, session.profile.build_types if all_revoked else installed_enclaves.build_types_in_use(session)
+        session, session.profile.build_types if revoked else installed_enclaves.build_types_in_use(session)
     )
     targets = set(map(session.tree.follows, files))
     folders = [path for path, is_folder in entries if is_folder]
     restores = "'keymint install' restores it" if names else "it is written again with the next enclave"
+    if revoked:
+        restores += f": 'keymint renew --rekey {revoked[0]}'"
     empty = [folder for folder in folders if not session.tree.names(folder)]  # an error if one cannot be read
     for relative, content in expected.items():
         if (path := f"{workspace.install}/{relative}") not in own and path not in targets:

@@ -30,7 +30,7 @@ def xml(root: str, attributes: str = "") -> Bombs:
         "elements": lambda: (begin + "<a/>" * 990_000 + end).encode(),
         "elements without end": lambda: filled("<a/>", begin),
         "elements with attributes": lambda: filled("<a b='1' c='2'/>", begin, end),
-        "elements with texts": lambda: (begin + "<a>1</a>" * 550_000 + end).encode(),
+        "elements with texts": lambda: (begin + "<a>1</a>" * 549_000 + end).encode(),
         "elements with namespaces": lambda: filled("<a xmlns:b='c'/>", begin, end),
         "attributes": lambda: (f"<{root} " + " ".join(f"a{at:x}=''" for at in range(1_300_000)) + "/>").encode(),
         "namespaces": lambda: (f"<{root} " + " ".join(f"xmlns:a{at:x}='b'" for at in range(800_000)) + "/>").encode(),
