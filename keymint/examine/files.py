@@ -272,11 +272,10 @@ def outside_enclaves(session: Session, within: timedelta) -> Iterator[Diagnostic
         session, session.profile.build_types if revoked else installed_enclaves.build_types_in_use(session)
     )
     targets = set(map(session.tree.follows, files))
-    folders = [path for path, is_folder in entries if is_folder]
-    restores = "'keymint install' restores it" if names else "it is written again with the next enclave"
-    if revoked:
-        restores += f": 'keymint renew --rekey {revoked[0]}'"
-    empty = [folder for folder in folders if not session.tree.names(folder)]  # an error if one cannot be read
+    again = f"'keymint renew --rekey {revoked[0]}' restores it" if revoked else "the next enclave brings it back"
+    restores = "'keymint install' restores it" if names else again
+    # An error if one cannot be read, before anything is told.
+    empty = [path for path, is_folder in entries if is_folder and not session.tree.names(path)]
     for relative, content in expected.items():
         if (path := f"{workspace.install}/{relative}") not in own and path not in targets:
             yield from as_installed(session, path, digest(content), restores, _OTHER_COPY)

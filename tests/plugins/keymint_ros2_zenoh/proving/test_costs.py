@@ -30,8 +30,11 @@ KINDS = {
     "ros_action": ("ros_request", "ros_operate"),
     "ros_parameter": ("ros_read", "ros_write"),
 }
-HARD = (83, 136, 172)
-"""Seeds of policies whose proofs visited up to 73,000 states when each match of a pattern was told apart."""
+HARD = (136, 172)
+"""Seeds of policies whose proofs visited up to 73,000 states when each match of a pattern was told apart.
+
+So did 83, which takes longest, and is among all seeds only.
+"""
 
 
 def expression(random: Random) -> str:
