@@ -59,8 +59,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     computing = [file for file in files if file.parent.name != WAITING]
     computing.sort(key=lambda file: LONGEST.index(file.parent.name) if file.parent.name in LONGEST else len(LONGEST))
     place = {file: at / len(computing) for at, file in enumerate(computing)}
-    # The files of computing tests that come first take longest, and those of waiting ones that come last.
-    place |= {file: 0.7 * (at / len(waiting)) ** 1.5 for at, file in enumerate(waiting)}
+    place |= {file: 0.7 * at / len(waiting) for at, file in enumerate(waiting)}
     items.sort(key=lambda item: place[item.path])
 
 
